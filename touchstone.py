@@ -16,25 +16,22 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from touchstone_annexes import is_present
+
 if TYPE_CHECKING:
-    from formulations.solution import Outcome
     from models.scene import Scene
     from models.trajectory import Trajectory
     from validate.campaign.campaign import CampaignResult
     from validate.campaign.shown import JudgedPlan as Judgement
     from validate.campaign.shown import SolvedPlan as Solution
-    from validate.fmu_check import CheckReport
-    from validate.judge.judgement import WiredFmu
-    from validate.judge.robustness import Robustness
-    from validate.judge.score import Verdict
     from validate.judge.time_step import EnergyTest
 
-# Types of the functions below, imported on first use: importing touchstone costs as much as NumPy.
+# Names imported on first use: importing touchstone costs as much as NumPy.
 _HOME = {
     "CampaignResult": ("validate.campaign.campaign", "CampaignResult"),
     "CheckReport": ("validate.fmu_check", "CheckReport"),
@@ -46,31 +43,23 @@ _HOME = {
     "Solution": ("validate.campaign.shown", "SolvedPlan"),
     "Trajectory": ("models.trajectory", "Trajectory"),
     "Verdict": ("validate.judge.score", "Verdict"),
+    "check": ("validate.fmu_check.public", "check"),
+    "robustness": ("validate.judge.robustness.public", "robustness"),
 }
-__all__ = [
-    "CampaignResult",
-    "CheckReport",
-    "EnergyTest",
-    "Judgement",
-    "Outcome",
-    "Robustness",
-    "Scene",
-    "Solution",
-    "Trajectory",
-    "Verdict",
+_HOME = {name: home for name, home in _HOME.items() if is_present(home[0])}  # without lost annexes
+_FUNCTIONS = (
     "campaign",
-    "check",
     "energy_test",
     "export_fmu",
     "judge",
     "methods",
     "pipelines",
     "read_plan",
-    "robustness",
     "scene",
     "scenes",
     "solve",
-]
+)
+__all__ = sorted((*_HOME, *_FUNCTIONS))  # pyright: ignore[reportUnsupportedDunderAll]
 _PACKAGES = ("models", "formulations", "validate", "reports")
 
 
@@ -138,26 +127,6 @@ def scene(name: Scene | str | Path) -> Scene:
 _scene = scene  # for functions with a parameter of that name
 
 
-def _listed(value: Any) -> tuple[Any, ...]:
-    return tuple(value) if isinstance(value, Iterable) and not isinstance(value, str) else (value,)
-
-
-def _text(name: str, value: str | Path, *, empty: bool = False) -> None:
-    from models.errors import TouchstoneError
-
-    if not isinstance(value, (str, Path)) or not (empty or str(value)):
-        raise TouchstoneError(f"{name}: {value!r} must be a name, as text or Path.")
-
-
-def _positive(name: str, value: float, kind: type | tuple[type, ...] = (int, float)) -> None:
-    from models.errors import TouchstoneError
-
-    if isinstance(value, bool) or not isinstance(value, kind) or not 0 < value < float("inf"):
-        raise TouchstoneError(
-            f"{name}: {value!r} must be a positive {'whole number' if kind is int else 'number of seconds'}."
-        )
-
-
 def methods() -> tuple[str, ...]:
     """Return the names of the methods, sorted; `solve` takes these and `pipelines`.
 
@@ -221,10 +190,11 @@ def solve(
     Solution(three_cart by softplus_dc, eps 0.001: solved, cost 197.9, 500 steps)
     """
     from formulations.pipelines import solve_scene
+    from models.arguments import check_positive
     from validate.campaign.shown import SolvedPlan
     from validate.judge.judgement import as_trajectory
 
-    _positive("time_limit", time_limit)
+    check_positive("time_limit", time_limit)
     subject = _scene(scene)
     first = None if start is None else as_trajectory(start, subject)
     solution = solve_scene(
@@ -289,26 +259,14 @@ def judge(
         In one sentence.
     """
     from validate.campaign.shown import JudgedPlan
+    from validate.judge.judgement import as_wired_fmu
     from validate.judge.judgement import judge as judge_scene
 
-    if (wired := _wired(scene, plan, map, hold)) is not None:
+    if (wired := as_wired_fmu(scene, plan, map, hold)) is not None:
         return JudgedPlan.of(wired.judge(feedback), plan)
     return JudgedPlan.of(
         judge_scene(scene, plan, hold=hold, scheme=scheme, feedback=feedback), plan
     )
-
-
-def _wired(scene: Any, plan: Any, map: str | Path | None, hold: str | None) -> WiredFmu | None:
-    """Return the FMU connected with the plan, None for a scene, which has no map."""
-    if isinstance(scene, (str, Path)) and Path(scene).suffix.lower() == ".fmu":
-        from validate.judge.judgement import wire_fmu
-
-        return wire_fmu(Path(scene), plan, map_path=None if map is None else Path(map), hold=hold)
-    if map is not None:
-        from models.errors import SceneError
-
-        raise SceneError("map: a map belongs to an FMU; a scene knows its own names.")
-    return None
 
 
 def energy_test(scene: Scene | str | Path, step: Callable[..., Any] | str) -> EnergyTest:
@@ -336,75 +294,6 @@ def energy_test(scene: Scene | str | Path, step: Callable[..., Any] | str) -> En
     return tested(_scene(scene), step)
 
 
-def robustness(
-    scene: Scene | str | Path,
-    plan: Solution | Trajectory | Mapping[str, Any] | str | Path | Any,
-    *,
-    samples: int = 1000,
-    seed: int = 0,
-    kinds: Sequence[str] = ("parameters", "start", "gain", "noise", "delay"),
-    anyway: bool = False,
-    map: str | Path | None = None,
-    hold: str | None = None,
-) -> Robustness:
-    """Try a plan in perturbed worlds (docs/robustness.md).
-
-    Parameters
-    ----------
-    scene, plan, map, hold
-        As for `judge`.
-    samples
-        Number of worlds, from 10 to 10^6; a quarter of them with feedback too.
-    seed
-        The same seed gives bitwise the same numbers.
-    kinds
-        Kinds of perturbations, or names of single ones.
-    anyway
-        Measure a plan that does not hold, too.
-
-    Returns
-    -------
-    Robustness
-        `alone` and `feedback` with their `share` and `checked`; `failures`, `weakest`.
-
-    Raises
-    ------
-    SceneError, TrajectoryError, MachineError
-        In one sentence.
-    """
-    from validate.judge.robustness import robustness as measured
-
-    wired = _wired(scene, plan, map, hold)
-    subject = scene if wired is None else wired
-    return measured(
-        subject, plan, samples=samples, seed=seed, kinds=_listed(kinds), anyway=anyway, hold=hold
-    )
-
-
-def check(
-    fmu: str | Path, *, only: Sequence[str] | None = None, seconds: float = 60.0
-) -> CheckReport:
-    """Check an FMU's files, and in child processes its behaviour (docs/fmu_check.md).
-
-    Parameters
-    ----------
-    only
-        Names of checks; None for all.
-    seconds
-        For each check [s].
-
-    Raises
-    ------
-    FmuError
-        For no FMU of version 2.0 or 3.0.
-    """
-    from validate.fmu_check import check_fmu
-
-    _text("fmu", fmu)
-    _positive("seconds", seconds)
-    return check_fmu(Path(fmu), names=None if only is None else _listed(only), seconds=seconds)
-
-
 def export_fmu(scene: Scene | str | Path, path: str | Path, *, version: str = "2.0") -> Path:
     """Write a scene as an FMU 2.0 or 3.0, Model Exchange and Co-Simulation; return its path.
 
@@ -417,10 +306,11 @@ def export_fmu(scene: Scene | str | Path, path: str | Path, *, version: str = "2
     """
     import shutil
 
+    from models.arguments import check_text
     from models.errors import MachineError
     from models.fmu import build_fmu
 
-    _text("path", path)
+    check_text("path", path)
     try:
         return Path(shutil.copyfile(build_fmu(_scene(scene), version=str(version)), path))
     except OSError as error:
@@ -464,19 +354,20 @@ def campaign(
     TouchstoneError
         For errors of the caller, in one sentence.
     """
+    from models.arguments import check_positive, check_text, listed
     from validate.campaign.campaign import run_campaign
     from validate.campaign.read import read_campaign
     from validate.campaign.runs import CampaignSettings
     from validate.cli.narrator import narrator
 
-    _text("out", out)
-    _text("select", select, empty=True)
-    _positive("time_limit", time_limit)
+    check_text("out", out)
+    check_text("select", select, empty=True)
+    check_positive("time_limit", time_limit)
     if jobs is not None:
-        _positive("jobs", jobs, int)
-    named = tuple(map(str, _listed(scenes)))
+        check_positive("jobs", jobs, int)
+    named = tuple(map(str, listed(scenes)))
     if file is not None:
-        _text("file", file)
+        check_text("file", file)
         given = read_campaign(
             Path(file), out=Path(out), expression=select or None, quick=quick, jobs=jobs
         )

@@ -5,13 +5,18 @@ from __future__ import annotations
 import importlib
 import sys
 
+from touchstone_annexes import is_present
+
 
 def main(module: str = "validate.__main__") -> int | None:
-    """Run `main` of a module; return 2 if another package has one of our names."""
+    """Run `main` of a module; return 2 if it is missing or another package has one of our names."""
     try:
         import touchstone  # noqa: F401 - raises the error of a clash
     except ImportError as clash:
         print(clash, file=sys.stderr)
+        return 2
+    if not is_present(module):
+        print(f"error: this installation has no {module}; install it again.", file=sys.stderr)
         return 2
     return importlib.import_module(module).main()
 

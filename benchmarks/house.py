@@ -27,7 +27,7 @@ from benchmarks.english import dialect, docstrings, headless, prose
 from validate.cli.table import table
 
 ROOMS = ("models", "formulations", "validate", "reports")
-PRODUCT = (*ROOMS, "touchstone.py", "touchstone_command.py")
+PRODUCT = (*ROOMS, "touchstone.py", "touchstone_command.py", "touchstone_annexes.py")
 # Folders with one file per scene, method, command or page: their size is no sign of disorder.
 CATALOGS = frozenset(
     {

@@ -17,6 +17,8 @@ from importlib.util import find_spec
 from types import MappingProxyType, ModuleType
 from typing import TYPE_CHECKING, Any
 
+from touchstone_annexes import is_present
+
 if TYPE_CHECKING:
     from importlib.machinery import ModuleSpec
 
@@ -53,7 +55,7 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-# Name of a solver -> module, class, description.
+# Name of a solver -> module, class, description; an annex may be missing.
 _SOLVERS = MappingProxyType({
     "touchstone_ipopt": ("formulations.ipopt.pyomo_solver", "TouchstoneIpopt",
                          "Ipopt through cyipopt, without AMPL executables"),
@@ -89,6 +91,8 @@ def _register() -> None:
     from pyomo.opt import SolverFactory as FirstFactory
 
     for name, (home, plugin, doc) in _SOLVERS.items():
+        if not is_present(home):
+            continue
         FirstFactory.register(name, doc)(partial(_plugin, home, plugin))
         # Factory.register would replace the plugin in the first factory by a wrapper.
         Factory.register(SolverFactory, name, doc)(partial(_plugin, home, plugin, "ContribSolver"))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from models.trajectory import Trajectory
 
 if TYPE_CHECKING:  # a Solution does not import Pyomo
-    from formulations.mpec.certificate.certificate import Certificate
+    from formulations.certificate.certificate import Certificate
     from models.scene import Scene
 
 
@@ -84,7 +84,7 @@ class Solution:
     - trajectory: the plan, or None
     - cost: running cost over the steps plus final cost
     - residuals: unscaled, by name, recomputed from the scene
-    - certificate: of the plan in the scene's strict model (`formulations.mpec.certify_solution`),
+    - certificate: of the plan in the scene's strict model (`certify_solution`),
       or None
     - starts: all starts, if there are several
     - options: all options

@@ -26,32 +26,19 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from reports import wording
-from reports.pages import (
-    campaign,
-    checks,
-    overview,
-    pareto,
-    plans,
-    robustness,
-    run,
-    scene,
-    simulators,
-    sweeps,
-    table1,
-    violation,
-)
+from reports.pages import overview, pareto, run, scene, sweeps, table1, violation
 from reports.pages.section import PAGES, REPORT, Report, Section, scene_page
-from reports.records.check_record import CheckRecord
-from reports.records.engines_record import TruthRecord
-from reports.records.load import ReportError, Stored, load, record_files
+from reports.records.load import ReportError, Stored, record_files
+from reports.records.load import load as load_campaign
 from reports.records.record import RunRecord
-from reports.records.robustness_record import RobustnessRecord
+from touchstone_annexes import load, present
 
 SINGLE = "single.html"
 _HERE = Path(__file__).parent
@@ -65,17 +52,19 @@ _OF_SCENE = (
     violation.build,
     scene.model,
 )
-# Sections of other pages by file name, which is the anchor of their first section.
-_OTHERS = {
-    "plans": (plans.build,),
-    "runs": (run.all_runs,),
-    "robustness": (robustness.build,),
-    "sweeps": (sweeps.build,),
-    "stress-cases": (checks.stress_cases,),
-    "fmus": (checks.fmus,),
-    "time-spent": (campaign.time_spent,),
-    "provenance": (campaign.provenance,),
-}
+# Other pages by file name, which is the anchor of the section; an annex may be missing.
+_OTHERS = MappingProxyType({
+    "plans": "reports.pages.plans:build",
+    "runs": "reports.pages.run:all_runs",
+    "robustness": "reports.pages.robustness:build",
+    "sweeps": "reports.pages.sweeps:build",
+    "stress-cases": "reports.pages.checks:stress_cases",
+    "fmus": "reports.pages.checks:fmus",
+    "time-spent": "reports.pages.campaign:time_spent",
+    "provenance": "reports.pages.campaign:provenance",
+})  # fmt: skip
+# Sections that annexes add to the page of one plan, by the name of their data.
+_ADDITIONS = MappingProxyType({"engines": "reports.pages.simulators:of_plan"})
 # Shared style and script of all pages except report.html.
 _STYLE = "report.css"
 _SCRIPT = "report.js"
@@ -133,7 +122,7 @@ def write_report(folder: Path, jobs: int | None = None) -> Path:
     Raises ReportError.
     """
     templates = Templates()
-    report = Report(load(folder), folder)
+    report = Report(load_campaign(folder), folder)
     try:
         (folder / PAGES).mkdir(exist_ok=True)
     except OSError as problem:
@@ -195,7 +184,7 @@ def is_current(folder: Path) -> bool:
 
 def write_single(folder: Path) -> Path:
     """Write the whole report into one file. Raises ReportError."""
-    report = Report(load(folder), folder, single=True)
+    report = Report(load_campaign(folder), folder, single=True)
     others = _others(report)
     sections = [
         *_across(report, others),
@@ -208,30 +197,32 @@ def write_single(folder: Path) -> Path:
 
 def render(folder: Path) -> str:
     """Return the text of report.html. Raises ReportError without a folder."""
-    report = Report(load(folder), folder)
+    report = Report(load_campaign(folder), folder)
     return _campaign_page(Templates(), report, _across(report, _others(report)))
 
 
-def render_run(record: RunRecord, folder: Path, engines: Sequence[Mapping[str, Any]] = ()) -> str:
+def render_run(
+    record: RunRecord, folder: Path, additions: Mapping[str, Any] = MappingProxyType({})
+) -> str:
     """Return the page of a run without a campaign.
 
-    folder: with runs/<key>/trajectory.nc etc.; engines: results of other simulators as JSON data.
+    folder: with runs/<key>/trajectory.nc etc.; additions: JSON data by name of a section.
     """
     report = Report(Stored(None, (record,)), folder, at="")
     title = f"{record.pipeline} on {record.scene.name}"
-    others = simulators.of_plan(engines)
-    return page(
-        Templates(),
-        [run.build(report, record), *others],
-        title=title,
-        lead=record.scene.title,
-        again="",
+    others = [
+        load(reference)(additions[name])
+        for name, reference in present(_ADDITIONS).items()
+        if name in additions
+    ]
+    return render_sections(
+        [run.build(report, record), *others], title=title, lead=record.scene.title
     )
 
 
 def render_players(folder: Path) -> dict[str, str]:
     """Return pages with only the best plan's motion by scene, for a gallery. Raises ReportError."""
-    report, templates = Report(load(folder), folder, at=""), Templates()
+    report, templates = Report(load_campaign(folder), folder, at=""), Templates()
     moving = [
         (one, section)
         for one in report.scenes
@@ -243,35 +234,9 @@ def render_players(folder: Path) -> dict[str, str]:
     }
 
 
-def render_checks(records: Sequence[CheckRecord]) -> str:
-    """Return the page of FMUs checked without a campaign."""
-    names = ", ".join(record.name for record in records)
-    return page(
-        Templates(), [checks.fmus_of(records)], title="FMUs under the check", lead=names, again=""
-    )
-
-
-def render_robustness(record: RobustnessRecord, plan: str) -> str:
-    """Return the page of a plan's robustness; plan: its name."""
-    title = f"How much {plan} can take on {record.scene}"
-    return page(
-        Templates(),
-        [robustness.of_plan(record)],
-        title=title,
-        lead=record.summary,
-        again="",
-    )
-
-
-def render_truth(record: TruthRecord, again: str) -> str:
-    """Return the page of the truth suite; again: its command."""
-    return page(
-        Templates(),
-        [simulators.truth(record)],
-        title="The contact truth suite",
-        lead=record.summary,
-        again=again,
-    )
+def render_sections(sections: Sequence[Section], *, title: str, lead: str, again: str = "") -> str:
+    """Return a page of its own with these sections; again: the command that writes the page."""
+    return page(Templates(), sections, title=title, lead=lead, again=again)
 
 
 def page(
@@ -363,8 +328,9 @@ def _built(makers: Sequence[Callable[..., Section | None]], *words: object) -> l
 
 def _others(report: Report) -> dict[str, list[Section]]:
     """Return the non-empty sections of other pages by file name."""
+    makers = {name: load(reference) for name, reference in present(_OTHERS).items()}
     return {
-        name: sections for name, makers in _OTHERS.items() if (sections := _built(makers, report))
+        name: sections for name, make in makers.items() if (sections := _built((make,), report))
     }
 
 

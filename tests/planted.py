@@ -40,12 +40,16 @@ ROOMS = {
         ("tests/models/codegen/*.py", "tests/models/*.py"),
     ),
     "fmu": (
-        ("models/fmu/*.py", "models/fmu/mjcf/*.py"),
-        ("tests/models/fmu/*.py", "tests/validate/fmi/*.py"),
+        ("models/fmu/*.py", "models/fmu/coupled/*.py", "models/fmu/mjcf/*.py"),
+        ("tests/models/fmu/**/*.py", "tests/validate/fmi/*.py"),
     ),
     "fmu shell": (
-        ("models/fmu/*.[ch]", "models/fmu/shell/*.[ch]", "models/fmu/mjcf/*.[ch]"),
-        ("tests/models/fmu/*.py", "tests/validate/fmi/*.py", "tests/validate/judge/replay/*.py"),
+        (
+            "models/fmu/shell/*.[ch]",
+            "models/fmu/coupled/*.[ch]",
+            "models/fmu/mjcf/*.[ch]",
+        ),
+        ("tests/models/fmu/**/*.py", "tests/validate/fmi/*.py", "tests/validate/judge/replay/*.py"),
     ),
     "transcription": (
         ("formulations/transcription/*.py",),
@@ -73,7 +77,7 @@ ROOMS = {
         ("tests/formulations/mpec/*.py", "tests/formulations/ampl/*.py"),
     ),
     "certificate": (
-        ("formulations/mpec/certificate/*.py",),
+        ("formulations/certificate/*.py",),
         ("tests/formulations/mpec/*.py", "tests/formulations/test_methods_mpcc.py"),
     ),
     "judge": (
@@ -88,7 +92,6 @@ ROOMS = {
         (
             "tests/validate/judge/**/*.py",
             "tests/validate/fmi/*.py",
-            "tests/validate/truth/*.py",
             "tests/validate/tasks/test_stage.py",
             "tests/validate/tasks/test_campaign_violation.py",
         ),

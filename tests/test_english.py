@@ -25,6 +25,7 @@ CEILINGS = {
     "models": (1, 0, 25, 0, 3),
     "reports": (0, 0, 0, 0, 0),
     "touchstone.py": (0, 0, 0, 0, 0),
+    "touchstone_annexes.py": (0, 0, 0, 0, 0),
     "touchstone_command.py": (0, 0, 0, 0, 0),
     "validate/__init__.py": (0, 0, 0, 0, 0),
     "validate/__main__.py": (0, 0, 0, 0, 0),
@@ -51,7 +52,7 @@ def _files() -> dict[str, list[Path]]:
     """Return the product's Python files and pages by area."""
     rooms = ("models", "formulations", "validate", "reports")
     paths = [path for room in rooms for path in (ROOT / room).rglob("*.py")]
-    paths += [ROOT / "touchstone.py", ROOT / "touchstone_command.py", *(ROOT / "docs").glob("*.md")]
+    paths += [*ROOT.glob("touchstone*.py"), *(ROOT / "docs").glob("*.md")]
     areas: dict[str, list[Path]] = {}
     for path in sorted(paths):
         areas.setdefault(_area(path.relative_to(ROOT)), []).append(path)

@@ -150,7 +150,8 @@ def test_the_metric_and_the_page_are_in_a_campaign(folder: Path):
     copy = folder / "copy"
     for name in ("models", "formulations", "validate", "reports"):
         shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(ROOT / "touchstone.py", copy)
+    for path in ROOT.glob("touchstone*.py"):
+        shutil.copy(path, copy)
     for place, text in _INTO.findall(TEXT):
         with (copy / place).open("a", encoding="utf-8") as file:
             file.write(f"\n\n{text}" if file.tell() else text)

@@ -10,7 +10,15 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PARTS = ("models", "formulations", "validate", "reports", "touchstone.py", "touchstone_command.py")
+PARTS = (
+    "models",
+    "formulations",
+    "validate",
+    "reports",
+    "touchstone.py",
+    "touchstone_command.py",
+    "touchstone_annexes.py",
+)
 
 
 def pip(*words: str) -> None:

@@ -17,6 +17,8 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
+from formulations.certificate.certificate import Certificate
+from formulations.certificate.plan import certify_plan
 from formulations.contact_modes.finder import STRIDES, Finder, FinderResult
 from formulations.contact_modes.goal import correct_end
 from formulations.contact_modes.method import MpccOptions
@@ -31,8 +33,6 @@ from formulations.contact_modes.starts import (
 )
 from formulations.grids import check_warm_start, input_bounds, plan_of, replayed_goal_error
 from formulations.method import Clock, Method, Session
-from formulations.mpec.certificate.certificate import Certificate
-from formulations.mpec.certificate.plan import certify_plan
 from formulations.solution import Attempt, Outcome, Solution, checked
 from formulations.transcription.method import SolveBudget
 from formulations.transcription.residuals import PlanResiduals

@@ -10,9 +10,9 @@ certify_plan(scene, trajectory).sentence  # of a plan, in the scene's strict mod
 
 from __future__ import annotations
 
-from formulations.mpec.certificate.certificate import Certificate, Multipliers, Tolerances, certify
-from formulations.mpec.certificate.plan import certify_plan, certify_solution
-from formulations.mpec.certificate.stationarity import Stationarity
+from formulations.certificate.certificate import Certificate, Multipliers, Tolerances, certify
+from formulations.certificate.plan import certify_plan, certify_solution
+from formulations.certificate.stationarity import Stationarity
 from formulations.mpec.result import MpecResult, PairState, load
 from formulations.mpec.solve import MpecIpopt, solve_mpec
 from formulations.mpec.strategies import FALLBACKS, STRATEGY_NAMES, MpecSettings, read_settings

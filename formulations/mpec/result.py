@@ -13,9 +13,9 @@ from pyomo.common.collections import ComponentMap
 from pyomo.core.base.var import VarData
 from pyomo.core.expr import value
 
+from formulations.certificate.certificate import Certificate, Multipliers
 from formulations.ipopt.result import write_point
 from formulations.mpec.branching import Branch
-from formulations.mpec.certificate.certificate import Certificate, Multipliers
 from formulations.mpec.homotopy import Columns, PathPoint, Step, Workspace
 from formulations.mpec.lifted import relation_of
 from formulations.solution import Outcome

@@ -23,11 +23,12 @@ from typing import Any
 import numpy as np
 from pyomo.opt import SolverResults
 
+from formulations.certificate.certificate import certify
+from formulations.certificate.kinks import SmoothCopy, smooth_copy
+from formulations.certificate.local import values_set
 from formulations.ipopt.model import NotSmoothError
 from formulations.ipopt.pyomo_solver import PyomoAnswer, PyomoPlugin, pyomo_multipliers
 from formulations.mpec.branching import BETTER, Branch, Branching
-from formulations.mpec.certificate.certificate import certify
-from formulations.mpec.certificate.local import values_set
 from formulations.mpec.homotopy import (
     Path,
     PathPoint,
@@ -37,7 +38,6 @@ from formulations.mpec.homotopy import (
     compile_branches,
     natural_residual,
 )
-from formulations.mpec.kinks import SmoothCopy, smooth_copy
 from formulations.mpec.lifted import lift
 from formulations.mpec.result import (
     Candidate,

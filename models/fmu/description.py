@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     import jinja2
 
 
-_TEMPLATES = Path(__file__).parent / "templates"
+_HERE = Path(__file__).parent
 
 
 def number(value: float) -> str:
@@ -49,7 +49,7 @@ def _engine() -> jinja2.Environment:
     import jinja2  # not needed for cached FMUs
 
     engine = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES),
+        loader=jinja2.FileSystemLoader([_HERE / "templates", _HERE]),
         undefined=jinja2.StrictUndefined,
         autoescape=lambda name: name is not None and name.endswith((".xml.j2", ".html.j2")),
         keep_trailing_newline=True,
@@ -60,7 +60,9 @@ def _engine() -> jinja2.Environment:
 
 
 def render(template: str, block: str = "", **context: Any) -> str:
-    """Return the text of `templates/<template>`, or of one of its blocks.
+    """Return the text of a template, or of one of its blocks.
+
+    template: name of a file in `templates`, or `FOLDER/FILE` beside it.
 
     Raises jinja2.UndefinedError for an undefined name.
     """

@@ -16,6 +16,7 @@ from reports.pages.section import Report, Section
 from reports.plots import Axis, Plot, is_wide
 from reports.records.record import SceneRecord, ShareRecord, SurveyRecord
 from reports.records.robustness_record import RobustnessRecord
+from reports.render import render_sections
 from reports.rows import Row
 from reports.wording import cost, count, listing, number
 
@@ -33,6 +34,12 @@ def of_plan(record: RobustnessRecord) -> Section:
         "failures": sorted(record.failures, key=lambda item: (item.sizes is None, item.sizes)),
     }
     return Section("robustness", "How much it can take", "robustness.html#plan", values)
+
+
+def page_of_plan(record: RobustnessRecord, plan: str) -> str:
+    """Return the page of one plan; plan: its name."""
+    title = f"How much {plan} can take on {record.scene}"
+    return render_sections([of_plan(record)], title=title, lead=record.summary)
 
 
 class Survivor(NamedTuple):

@@ -8,14 +8,20 @@ from typing import Any
 from reports.pages.checks import plot_of
 from reports.pages.section import Section
 from reports.records.engines_record import TruthRecord, TruthRow
+from reports.render import render_sections
 
 
-def of_plan(rows: Sequence[Mapping[str, Any]]) -> list[Section]:
-    """Return the section of one plan, none without engines."""
-    return (
-        [Section("engines", "Verdicts of other simulators", "simulators.html#plan", {"rows": rows})]
-        if rows
-        else []
+def of_plan(rows: Sequence[Mapping[str, Any]]) -> Section:
+    """Return the section of one plan."""
+    return Section(
+        "engines", "Verdicts of other simulators", "simulators.html#plan", {"rows": rows}
+    )
+
+
+def truth_page(record: TruthRecord, again: str) -> str:
+    """Return the page of the truth suite; again: its command."""
+    return render_sections(
+        [truth(record)], title="The contact truth suite", lead=record.summary, again=again
     )
 
 

@@ -10,11 +10,11 @@ import pytest
 from example_scenes import example_scene
 
 from benchmarks.suite.plans import pushed_row
+from formulations.certificate.plan import certify_plan, certify_solution
 from formulations.contact_modes.linear import linear_scene
 from formulations.contact_modes.quadratic import ModesProblem
 from formulations.contact_modes.search import mode_sequence
 from formulations.methods.relaxed_lcp import RelaxedLCPSession
-from formulations.mpec.certificate.plan import certify_plan, certify_solution
 from formulations.pipelines import load_method, solve_scene
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene

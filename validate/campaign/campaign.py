@@ -30,8 +30,7 @@ from reports.records.check_record import CheckRecord, divided
 from reports.records.load import CAMPAIGN
 from reports.records.record import CampaignRecord, RunRecord, TimeStepRecord
 from reports.rule import fails, failures, findings
-from validate.campaign.dask import open_dask
-from validate.campaign.engine import LOCAL, ExecutionContext, check_engine, open_local
+from validate.campaign.engine import ExecutionContext, check_engine, open_engine
 from validate.campaign.growing_report import GrowingReport
 from validate.campaign.results import TABLES, write_tables
 from validate.campaign.runs import (
@@ -44,6 +43,7 @@ from validate.campaign.runs import (
 )
 from validate.campaign.scheduler import run_tasks
 from validate.campaign.stored import (
+    CampaignError,
     campaign_of,
     check_folder,
     found_campaign,
@@ -58,7 +58,7 @@ from validate.store.provenance import gather
 from validate.store.store import Store
 from validate.tasks.leg import forget
 from validate.tasks.paper import measure
-from validate.tasks.plugins import load_plugin
+from validate.tasks.plugins import load_plugin, no_survey
 from validate.tasks.task import RunTask, Task, TaskRecord, path_of, task_to_json
 
 TITLE = "Plans through contact, replayed and scored"
@@ -267,13 +267,11 @@ class _Campaign:
         if not tasks:
             return
         settings = self._settings
-        where = settings.engine.partition(":")[2]
-        opened = open_local if settings.engine == LOCAL else partial(open_dask, where)
         loaded = {
             entry.task.key: entry.loaded for entry in self._entries if entry.loaded is not None
         }
         context = ExecutionContext(store=self._store, provenance=self._provenance, loaded=loaded)
-        with opened(settings.jobs, context, len(tasks)) as engine:
+        with open_engine(settings.engine, settings.jobs, context, len(tasks)) as engine:
             yield from run_tasks(tasks, engine, context, settings.retries, self._narrator)
 
     def _scene_ended(self, scene: str) -> bool:
@@ -291,7 +289,8 @@ class _Campaign:
         return True
 
     def _try_worlds(self) -> None:
-        tasks = worlds_tasks(self._entries, self._in_folder(), self._settings.worlds)
+        worlds = False if self._plugin.survey is no_survey else self._settings.worlds
+        tasks = worlds_tasks(self._entries, self._in_folder(), worlds)
         if not tasks:
             return
         count = f"{len(tasks)} runs" if len(tasks) > 1 else tasks[0].title
@@ -325,6 +324,10 @@ def checked_selection(settings: CampaignSettings) -> tuple[list[PlannedTask], tu
     Raises TouchstoneError.
     """
     check_engine(settings.engine)
+    if settings.worlds and load_plugin(settings.plugin).survey is no_survey:
+        raise CampaignError(
+            "--worlds: no function of this installation tries plans in perturbed worlds; drop --worlds."
+        )
     entries, left_out = select(settings)
     check_folder(settings.out, (*TABLES, REPORT, PAGES, *settings.files))
     if settings.last_failed:

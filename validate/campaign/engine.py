@@ -1,6 +1,6 @@
 """Run the tasks of a campaign with executors of concurrent.futures, whose futures are records.
 
-    with open_local(2, context, len(tasks)) as engine:  # or validate.campaign.dask, open_dask
+    with open_engine("local", 2, context, len(tasks)) as engine:
         future = engine.submit(task)
         record = engine.result(task, future)
 
@@ -11,20 +11,20 @@ The campaign orders the tasks (validate.campaign.campaign). Another engine is a 
 from __future__ import annotations
 
 import contextlib
-import importlib.util
-import json
 import sys
 import threading
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from models.errors import MachineError, TouchstoneError
 from reports.records.record import ProvenanceRecord
+from touchstone_annexes import load, present
 from validate.processes.disk import PARTIAL
 from validate.processes.process import Preloaded, interrupts_wait, usable_cores
 from validate.store.store import Store
@@ -33,13 +33,12 @@ from validate.tasks.task import Task, TaskRecord
 from validate.tasks.worker import Worker
 
 LOCAL = "local"
-DASK = "dask"
 # Replaces the key in the name of the campaign's own unfinished folder (validate.campaign.dask).
 CAMPAIGN = "campaign"
 
 
 class EngineError(TouchstoneError):
-    """An unknown engine, or an invalid scheduler file."""
+    """An unknown engine, or an invalid place of one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,39 +63,51 @@ class ExecutionContext:
         ]
 
 
+@dataclass(frozen=True, kw_only=True)
+class EngineKind:
+    """A kind of engine.
+
+    - forms: spellings of --engine; the first has no place.
+    - check: raises EngineError or MachineError for a place that cannot be used.
+    - open: returns a context manager for (place, jobs, context, number of tasks).
+    """
+
+    forms: tuple[str, ...]
+    check: Callable[[str], None]
+    open: Callable[[str, int | None, ExecutionContext, int], AbstractContextManager[Any]]
+
+
+# --engine KIND or KIND:PLACE -> its EngineKind; an annex may be missing.
+_KINDS = MappingProxyType({
+    LOCAL: "validate.campaign.engine:LOCAL_KIND",
+    "dask": "validate.campaign.dask:DASK_KIND",
+})  # fmt: skip
+
+
+def find_engine(name: str) -> tuple[EngineKind, str]:
+    """Return the kind and the place of an engine. Raises EngineError for an unknown engine."""
+    word, colon, place = name.partition(":")
+    kinds = present(_KINDS)
+    kind = load(kinds[word]) if word in kinds else None
+    if kind is None or (colon and (not place or len(kind.forms) == 1)):
+        forms = [form for reference in kinds.values() for form in load(reference).forms]
+        words = " and ".join(filter(None, [", ".join(forms[:-1]), forms[-1]]))
+        raise EngineError(f"--engine {name}: there is no such engine; the engines are {words}.")
+    return kind, place
+
+
 def check_engine(name: str) -> None:
     """Raise EngineError for an unknown engine, MachineError for a missing package."""
-    kind, colon, where = name.partition(":")
-    if name == LOCAL:
-        return
-    if kind != DASK or (colon and not where):
-        raise EngineError(
-            f"--engine {name}: there is no such engine; the engines are local, dask, dask:ADDRESS and dask:FILE.json."
-        )
-    if importlib.util.find_spec("distributed") is None:
-        raise MachineError(
-            f"--engine {name} needs the package distributed: pip install distributed."
-        )
-    if where.endswith(".json"):
-        _check_scheduler_file(Path(where))
+    kind, place = find_engine(name)
+    kind.check(place)
 
 
-def _check_scheduler_file(path: Path) -> None:
-    try:
-        content: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (
-        OSError,
-        ValueError,
-        RecursionError,
-    ) as error:  # missing, no JSON, or nested too deeply
-        why = error.strerror if isinstance(error, OSError) else "it is no JSON"
-        raise EngineError(
-            f"--engine dask:{path}: the scheduler file cannot be read ({why}); start a scheduler that writes it."
-        ) from error
-    if not isinstance(content, dict) or not isinstance(content.get("address"), str):
-        raise EngineError(
-            f"--engine dask:{path}: this is no scheduler file of Dask (it has no `address`); give the one the scheduler wrote."
-        )
+def open_engine(
+    name: str, jobs: int | None, context: ExecutionContext, tasks: int
+) -> AbstractContextManager[Any]:
+    """Return the context manager of an engine. Raises EngineError, MachineError."""
+    kind, place = find_engine(name)
+    return kind.open(place, jobs, context, tasks)
 
 
 # Modules that most tasks import.
@@ -120,7 +131,7 @@ MODULES = (
     "models.fmu",
     "models.trajectory_netcdf",
     "reports.records.check_record",
-    "formulations.mpec",
+    "formulations.certificate.plan",
     "formulations.ipopt",
     "formulations.transcription.homotopy",
     "formulations.contact_modes.session",
@@ -209,3 +220,10 @@ class LocalEngine:
         self._threads.shutdown(cancel_futures=True)
         if self._preloaded is not None:
             self._preloaded.close()
+
+
+LOCAL_KIND = EngineKind(
+    forms=(LOCAL,),
+    check=lambda place: None,
+    open=lambda place, jobs, context, tasks: open_local(jobs, context, tasks),
+)

@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -208,16 +209,19 @@ class JudgedPlan(Judgement):
         return self.plan.plot(cast(Scene, self.scene), replay)
 
     def page(
-        self, command: str, warnings: Sequence[str] = (), engines: Sequence[Mapping[str, Any]] = ()
+        self,
+        command: str,
+        warnings: Sequence[str] = (),
+        additions: Mapping[str, Any] = MappingProxyType({}),
     ) -> str:
         """Return the page of a run for this plan: one self-contained HTML file.
 
         command: repeats the judgement.
         warnings: sentences on the page.
-        engines: rows of other simulators.
+        additions: JSON data of further sections by name (reports.render).
         """
         return _page(
-            self.scene, self.plan, self.replay, self._stage(warnings), self.name, command, engines
+            self.scene, self.plan, self.replay, self._stage(warnings), self.name, command, additions
         )
 
     def _repr_html_(self) -> str:
@@ -245,7 +249,7 @@ def _seconds(replay: Replay | None) -> float:
 
 def _page(
     subject: Subject, plan: Trajectory | None, replay: Replay | None, stage: StageRecord, name: str,
-    command: str, engines: Sequence[Mapping[str, Any]] = ()
+    command: str, additions: Mapping[str, Any] = MappingProxyType({})
 ) -> str:  # fmt: skip
     drawn, record = _drawn(subject, plan)
     run = _run(record, stage, name, command)
@@ -260,7 +264,7 @@ def _page(
         ):
             if plan is not None and motion is not None and len(motion.t):
                 write_drawn(folder / files[what], motion, drawn, plan, LONGEST)
-        return render_run(run, Path(place), engines)
+        return render_run(run, Path(place), additions)
 
 
 def _drawn(subject: Subject, plan: Trajectory | None) -> tuple[Subject, SceneRecord]:

@@ -162,8 +162,9 @@ def _waivers(texts: tuple[str, ...]) -> dict[str, str]:
 
 def _page(checked: Sequence[Checked], arguments: tuple[str, ...]) -> str:
     """Return the page of these reports."""
+    from reports.pages.checks import fmus_of
     from reports.records.check_record import CheckRecord
-    from reports.render import render_checks
+    from reports.render import render_sections
     from validate.store.provenance import gather
     from validate.tasks.fmu_checks import found_by
 
@@ -184,7 +185,8 @@ def _page(checked: Sequence[Checked], arguments: tuple[str, ...]) -> str:
             **found.details,
         )
         records.append(record)
-    return render_checks(records)
+    names = ", ".join(record.name for record in records)
+    return render_sections([fmus_of(records)], title="FMUs under the check", lead=names)
 
 
 def data(report: CheckReport) -> dict[str, Any]:

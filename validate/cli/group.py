@@ -18,6 +18,7 @@ import click
 
 import touchstone
 from models.errors import MachineError, TouchstoneError, did_you_mean
+from touchstone_annexes import present
 from validate.cli.table import say
 
 PROGRAM = "python -m validate"
@@ -26,7 +27,8 @@ _COMPLETE = "_TOUCHSTONE_COMPLETE"
 INTERRUPTED = 130
 READER_GONE = 141  # as shells report SIGPIPE
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-# name -> text of the overview; the command is `command` in validate/cli/<name>.py.
+# name -> text of the overview; the command is `command` in validate/cli/<name>.py. An annex's
+# command may be missing.
 _COMMANDS = {
     "all": "Run every scene by every pipeline, replay and score each plan, write the report.",
     "run": "Run a campaign of your own: scenes, changes, sweeps and pipelines from a TOML file.",
@@ -41,6 +43,7 @@ _COMMANDS = {
     "fmu": "Export a scene as an FMU.",
     "check": "Check any FMU: its files, and how its code behaves.",
 }
+_MODULES = present({name: f"validate.cli.{name}" for name in _COMMANDS})
 _EPILOG = """\b
 Examples:
   python -m validate all --dry-run
@@ -118,7 +121,7 @@ class LazyGroup(click.Group):
 
 @click.group(
     cls=LazyGroup,
-    lazy={name: (f"validate.cli.{name}", words) for name, words in _COMMANDS.items()},
+    lazy={name: (module, _COMMANDS[name]) for name, module in _MODULES.items()},
     epilog=_EPILOG,
     context_settings={"help_option_names": ["-h", "--help"]},
 )

@@ -15,16 +15,14 @@ import click
 
 from models.catalog import load_scene
 from reports.judged import cause_of_stage
+from validate.cli.additions import additions
 from validate.cli.options import A_FILE, FiniteRange, options, scenes, write, written_to
-from validate.cli.table import print_table, say, short, warn, wide_option
+from validate.cli.table import say, warn, wide_option
 from validate.cli.verdict import as_stage, print_score, print_verdict
-from validate.judge.simulator import named_engines
 from validate.processes.disk import make_folder, write_durably
 from validate.processes.isolated import Limits
-from validate.processes.process import usable_cores
 
 if TYPE_CHECKING:
-    from validate.judge.elsewhere import EngineVerdict
     from validate.judge.judgement import Judgement
     from validate.judge.replay.result import Replay
     from validate.judge.score import Verdict
@@ -115,14 +113,18 @@ def read_fmu_options(
     }  # fmt: skip
 
 
+_ADDITIONS = additions()
+_EXAMPLES = "\n".join(f"  python -m validate replay {item.example}" for item in _ADDITIONS)
+
+
 @click.command(
-    epilog="""\b
+    epilog=f"""\b
 Examples:
   python -m validate replay plan.csv --scene three_cart
   python -m validate replay plan.csv --scene cart_pole_walls --track
   python -m validate replay plan.csv --scene three_cart --html plan.html
-  python -m validate replay plan.csv --scene three_cart --engine all
   python -m validate replay plan.csv --fmu robot.fmu --map robot.toml --json
+{_EXAMPLES}
 
 Exit codes: 0 the plan holds, by its inputs alone or with feedback (--require holds:
 by its inputs alone); 1 it violates, or that is undecided; 2 a mistake in plan, map
@@ -146,12 +148,7 @@ or FMU; 3 a system requirement is missing.
     show_default=True,
     help="What exit code 0 needs: that the plan holds by its inputs alone, or that it holds with feedback.",
 )
-@click.option(
-    "--engine",
-    "engines",
-    metavar="NAME,..|all",
-    help="Verdicts of other simulators on the plan (docs/engines.md); all: the installed ones.",
-)
+@options(*(item.option for item in _ADDITIONS))
 @click.option("--json", "as_json", is_flag=True, help="The score as JSON on stdout.")
 @wide_option
 @written_to("--html", "html_file", "FILE.html", "a page with verdict, player, plots and metrics")
@@ -169,7 +166,6 @@ def command(
     fmu: Path | None,
     track: bool,
     require: str,
-    engines: str | None,
     as_json: bool,
     html_file: Path | None,
     out: Path | None,
@@ -182,12 +178,9 @@ def command(
     campaign too: DIR/runs/KEY/trajectory.nc. docs/replay.md describes plan and map, docs/verdict.md
     what is asked.
     """
+    wanted = {item: value for item in _ADDITIONS if (value := given.pop(item.name)) is not None}
     wired = read_fmu_options(scene, fmu, **given)
-    if engines is not None and fmu is not None:
-        raise click.UsageError(
-            "--engine belongs to --scene: another simulator cannot step somebody's FMU."
-        )
-    asked = named_engines(engines) if engines is not None else ()
+    requests = {item: item.prepare(value, fmu is not None) for item, value in wanted.items()}
     # NumPy's OpenBLAS starts a thread for each core on import. A process with threads is not forked
     # (validate.processes.process).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -197,20 +190,12 @@ def command(
         judgement, warnings = wire_fmu(fmu, plan, **wired).judge(track), []
     else:
         judgement, warnings = _of_scene(str(scene), plan, wired, track)
-    rows = []
-    if asked:
-        from validate.judge.elsewhere import elsewhere
-
-        rows = elsewhere(
-            judgement,
-            asked,
-            limits=wired["limits"],
-            jobs=usable_cores(),
-            tell=lambda text: say(text, err=True),
-        )
     told = _told(judgement, warnings)
-    if asked:
-        told["engines"] = [row.as_json() for row in rows]
+    added = {
+        item: item.results(judgement, request, wired["limits"])
+        for item, request in requests.items()
+    }
+    told |= {item.name: rows for item, rows in added.items()}
     if out is not None:
         _write(out, told, judgement)
     write(html_file, lambda: _page(judgement, plan, arguments, told))
@@ -219,7 +204,8 @@ def command(
     else:
         warn(told["warnings"])
         _print(judgement)
-        _print_engines(rows)
+        for item, rows in added.items():
+            item.show(rows)
     return exit_code(judgement.verdict, require)
 
 
@@ -326,9 +312,7 @@ def _page(
     from validate.campaign.shown import JudgedPlan
     from validate.store.provenance import command_line
 
-    return JudgedPlan.of(judgement, plan).page(
-        command_line(arguments), told["warnings"], told.get("engines", ())
-    )
+    return JudgedPlan.of(judgement, plan).page(command_line(arguments), told["warnings"], told)
 
 
 def _print(judgement: Judgement) -> None:
@@ -341,23 +325,6 @@ def _print(judgement: Judgement) -> None:
         say(_own_error("the replay", replay))
         if replay.tracked is not None:
             say(_own_error("the replay with feedback", replay.tracked))
-
-
-def _print_engines(rows: list[EngineVerdict]) -> None:
-    """Print the verdict of each engine, and the number of verdicts equal to ours."""
-    if not rows:
-        return
-    same = {None: "", True: "yes", False: "no"}
-    numbers = ("step or tolerance", "distance")
-    cells = [
-        [row.engine, row.verdict, same[row.agrees], short(row.step), short(row.distance), row.why]
-        for row in rows
-    ]
-    print_table(["engine", "verdict", "as ours", *numbers, "why"], cells, numbers)
-    asked = [row for row in rows if row.agrees is not None]
-    say(
-        f"The same in {sum(bool(row.agrees) for row in asked)} of {len(asked)} engines that step this scene."
-    )
 
 
 def _own_error(what: str, replay: Replay) -> str:

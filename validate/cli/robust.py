@@ -14,9 +14,9 @@ from models.catalog import load_scene
 from models.scene import Scene
 from models.trajectory import Trajectory
 from models.trajectory_netcdf import read_netcdf
+from reports.pages.robustness import page_of_plan
 from reports.records.record import RunRecord, stage_files
 from reports.records.robustness_record import RobustnessRecord
-from reports.render import render_robustness
 from validate.campaign.stored import CampaignError
 from validate.cli.group import INTERRUPTED
 from validate.cli.options import folder_of, scenes, write, written_to
@@ -115,7 +115,7 @@ def command(
     )  # fmt: skip
     record = RobustnessRecord.model_validate(found)
     write(csv_file, lambda: _worlds(found))
-    write(html_file, lambda: render_robustness(record, name))
+    write(html_file, lambda: page_of_plan(record, name))
     if as_json:
         click.echo(record.model_dump_json(indent=1))
     else:

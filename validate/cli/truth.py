@@ -19,14 +19,13 @@ import numpy as np
 
 from models.dynamics import derive
 from models.scene import Scene
-from reports.pages.simulators import as_markdown, cell
+from reports.pages.simulators import as_markdown, cell, truth_page
 from reports.records.check_record import ChartRecord
 from reports.records.engines_record import LevelRecord, TruthRecord, TruthRow
-from reports.render import render_truth
 from validate.campaign.results import table_text
 from validate.cli.options import write, written_to
 from validate.cli.table import print_table, say, wide_option
-from validate.judge.simulator import (
+from validate.judge.engines.simulator import (
     REFERENCE,
     Came,
     Drive,
@@ -107,7 +106,7 @@ def command(
     )
     record = recorded(asked, found)
     if out is not None:
-        write(out / "truth.html", lambda: render_truth(record, command_line(arguments)))
+        write(out / "truth.html", lambda: truth_page(record, command_line(arguments)))
         write(out / "truth.csv", lambda: as_csv(record))
         write(out / "truth.json", lambda: record.model_dump_json(indent=1))
     write(markdown, lambda: as_markdown(record, command_line(arguments)))

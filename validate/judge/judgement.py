@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from models.catalog import as_scene
-from models.errors import TrajectoryError
+from models.errors import SceneError, TrajectoryError
 from models.fmu import build_fmu
 from models.plan_table import ArrayTable, PlanTable, Table
 from models.scene import Scene
@@ -186,6 +186,21 @@ class WiredFmu:
         result = score(self.foreign.model, plan, replayed)
         unsure = [item for item in result.metrics if item.is_judged and item.ok is None]
         return result.verdict is not Verdict.UNDECIDED or all(item.value is None for item in unsure)
+
+
+def as_wired_fmu(
+    scene: Any, plan: Any, map_path: str | Path | None, hold: str | None
+) -> WiredFmu | None:
+    """Return the FMU connected with the plan, None for a scene.
+
+    Raises SceneError for a scene with a map, and the errors of `wire_fmu`.
+    """
+    if isinstance(scene, (str, Path)) and Path(scene).suffix.lower() == ".fmu":
+        place = None if map_path is None else Path(map_path)
+        return wire_fmu(Path(scene), plan, map_path=place, hold=hold)
+    if map_path is not None:
+        raise SceneError("map: a map belongs to an FMU; a scene knows its own names.")
+    return None
 
 
 def wire_fmu(

@@ -44,9 +44,12 @@ _NO_INFLUENCE = (
     "validate/cli",
     "validate/__main__.py",
     "validate/campaign/",
+    "validate/judge/engines/",
 )
 # Sources that decide checks, but no run.
 _OF_CHECKS = (
+    "formulations/ampl/",
+    "formulations/mpec/",
     "validate/tasks/check.py",
     "validate/tasks/fmu_checks.py",
     "validate/fmu_check/",

@@ -22,6 +22,7 @@ from formulations.given_plan import GIVEN_PLAN
 from formulations.method import Leg, Method, Pipeline
 from formulations.pipelines import QUICK, load_method, pipelines_for
 from models.errors import MachineError, TouchstoneError, UnknownNameError
+from touchstone_annexes import load, present
 
 if TYPE_CHECKING:
     from formulations.solution import Solution
@@ -29,30 +30,35 @@ if TYPE_CHECKING:
     from models.trajectory import Trajectory
     from validate.judge.judgement import Judgement
     from validate.judge.replay import Replay
-    from validate.judge.robustness import Survey
     from validate.tasks.task import CheckTask, SceneReference
 
 DEFAULT_PLUGIN = "validate.tasks.plugins:DEFAULT"
-# Functions from scenes to the CheckTasks of a campaign.
-CHECKS: tuple[str, ...] = ("validate.tasks.fmu_checks:checks", "validate.stress.case:checks")
+# Functions from scenes to the CheckTasks of a campaign, by kind; an annex may be missing.
+CHECKS = {"FMU": "validate.tasks.fmu_checks:checks", "stress": "validate.stress.case:checks"}
+# Functions of annexes, which may be missing.
+_ANNEXES = present({"survey": "validate.judge.robustness:survey"})
 
 
 def _late(reference: str) -> Callable[..., Any]:
     """Return the function `module:name`, imported on its first call."""
-    module, _, name = reference.partition(":")
-    return lambda *arguments: getattr(importlib.import_module(module), name)(*arguments)
+    return lambda *arguments: load(reference)(*arguments)
+
+
+def no_survey(*_: Any) -> Any:
+    """Stand for the missing annex of perturbed worlds. Raises TouchstoneError."""
+    raise TouchstoneError("perturbed worlds are not installed.")
 
 
 _compile = _late("models.codegen.kernel:load_kernel")
 _build_fmu = _late("models.fmu:build_fmu")
-_certify = _late("formulations.mpec:certify_solution")
+_certify = _late("formulations.certificate.plan:certify_solution")
 _judge = _late("validate.judge.judgement:judge_trajectory")
-_survey = _late("validate.judge.robustness:survey")
+_survey = _late(_ANNEXES["survey"]) if "survey" in _ANNEXES else no_survey
 _write_replay = _late("validate.judge.replay.netcdf:write_drawn")
 
 
 def _checks(scenes: Sequence[SceneReference]) -> list[CheckTask]:
-    return [task for reference in CHECKS for task in _late(reference)(scenes)]
+    return [task for reference in present(CHECKS).values() for task in _late(reference)(scenes)]
 
 
 def _write_report(folder: Path) -> Path:
@@ -67,7 +73,11 @@ def _write_report(folder: Path) -> Path:
 
 @dataclass(frozen=True, kw_only=True)
 class Plugin:
-    """Functions of a campaign; quick: pipelines of `--quick`."""
+    """Functions of a campaign.
+
+    - quick: pipelines of `--quick`.
+    - survey: tries a plan in perturbed worlds; `no_survey`: no plan is tried.
+    """
 
     load_method: Callable[[str], Method] = load_method
     pipelines_for: Callable[[Scene], tuple[Pipeline, ...]] = pipelines_for
@@ -77,7 +87,7 @@ class Plugin:
     build_fmu: Callable[[Scene], Path] = _build_fmu
     certify: Callable[[Scene, Solution], Solution] = _certify
     judge: Callable[[Scene, Path, Trajectory], Judgement] = _judge
-    survey: Callable[[Scene, Trajectory, Mapping[str, float], bool], Survey] = _survey
+    survey: Callable[[Scene, Trajectory, Mapping[str, float], bool], Any] = _survey
     write_replay: Callable[[Path, Replay, Scene, Trajectory, int], None] = _write_replay
     write_report: Callable[[Path], Path] = _write_report
 

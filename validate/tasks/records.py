@@ -29,7 +29,7 @@ from reports.records.record import (
 from validate.tasks.paper import paper_row
 
 if TYPE_CHECKING:
-    from formulations.mpec import Certificate
+    from formulations.certificate.certificate import Certificate
     from models.trajectory import Trajectory
     from reports.records.record import LegRecord, ProvenanceRecord
     from validate.judge.replay import Difference, Replay

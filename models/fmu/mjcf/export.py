@@ -149,14 +149,14 @@ def _texts(
     decided = {name: hashlib.sha256(content).hexdigest() for name, content in shipped.items()}
     header, xml = stamped(
         sources | decided, standard,
-        lambda guid: render("robot_config.h.j2", guid=guid, **of_robot, **shared),
+        lambda guid: render("mjcf/robot_config.h.j2", guid=guid, **of_robot, **shared),
         license="MIT AND Apache-2.0", stop=_STOP, step=float(model.opt.timestep),
         tolerance=_TOLERANCE,
         source_files=[], structure=_structure(robot, standard), **shared,
     )  # fmt: skip
     texts = {
         "modelDescription.xml": xml,
-        "documentation/index.html": render("robot.html.j2", **of_robot, **shared),
+        "documentation/index.html": render("mjcf/robot.html.j2", **of_robot, **shared),
         "documentation/licenses/license.txt": render(
             "licenses.txt.j2", header_names=standard.headers
         )

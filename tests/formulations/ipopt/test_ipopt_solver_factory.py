@@ -26,7 +26,7 @@ from formulations.ipopt import (
 )
 from formulations.ipopt.pyomo_solver import dual_start
 from formulations.solution import Outcome
-from tests.formulations.mpec.nearest import nearest
+from tests.formulations.nearest import nearest
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sparse
 
-from formulations.mpec.certificate.local import LocalModel, Pair, Rows
+from formulations.certificate.local import LocalModel, Pair, Rows
 
 INF = math.inf
 

@@ -10,9 +10,7 @@ import scipy.sparse as sparse
 from pyomo.mpec import Complementarity, complements
 from wording import unsaid
 
-from formulations.ipopt import ModelRefusedError
-from formulations.mpec import certify
-from formulations.mpec.certificate.certificate import (
+from formulations.certificate.certificate import (
     Certificate,
     Multipliers,
     Tolerances,
@@ -21,11 +19,13 @@ from formulations.mpec.certificate.certificate import (
     _is_finite,
     _largest,
 )
-from formulations.mpec.certificate.local import LocalModel
-from formulations.mpec.certificate.plan import PLAN_TOLERANCES
-from formulations.mpec.certificate.stationarity import Stationarity, active_set, at_bounds
+from formulations.certificate.local import LocalModel
+from formulations.certificate.plan import PLAN_TOLERANCES
+from formulations.certificate.stationarity import Stationarity, active_set, at_bounds
+from formulations.ipopt import ModelRefusedError
+from formulations.mpec import certify
 from tests.formulations.mpec.local_models import INF, Row, local, pair, row, together
-from tests.formulations.mpec.nearest import nearest
+from tests.formulations.nearest import nearest
 
 
 @pytest.mark.parametrize(("item", "found"), [

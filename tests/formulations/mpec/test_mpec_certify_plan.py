@@ -10,6 +10,8 @@ import scipy.sparse as sparse
 from pyomo.core.expr.numeric_expr import MaxExpression, MinExpression
 from pyomo.mpec import Complementarity, complements
 
+from formulations.certificate.local import read_local
+from formulations.certificate.stationarity import active_set, balance
 from formulations.ipopt import ModelRefusedError
 from formulations.mpec import (
     Certificate,
@@ -20,8 +22,6 @@ from formulations.mpec import (
     load,
     solve_mpec,
 )
-from formulations.mpec.certificate.local import read_local
-from formulations.mpec.certificate.stationarity import active_set, balance
 from formulations.pipelines import solve_scene
 from formulations.solution import Outcome, Solution
 from formulations.transcription.build import build_model, load_plan

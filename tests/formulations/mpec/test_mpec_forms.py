@@ -12,7 +12,7 @@ from pyomo.mpec import Complementarity, ComplementarityList, complements
 
 from formulations.ipopt import MissingValueError, ModelRefusedError, UnknownOptionError
 from formulations.mpec import certify, load, read_settings, solve_mpec
-from tests.formulations.mpec.nearest import nearest, solver
+from tests.formulations.nearest import nearest, solver
 
 
 def model(goal=(1.0, 2.0), bounds=(None, None)) -> pyo.ConcreteModel:

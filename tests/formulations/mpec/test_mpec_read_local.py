@@ -12,12 +12,9 @@ import pytest
 from pyomo.core.expr.calculus.derivatives import differentiate
 from pyomo.mpec import Complementarity, complements
 
-from formulations.ipopt import MissingValueError
-from formulations.ipopt.problem import IpoptProblem
-from formulations.mpec import Stationarity, certify
-from formulations.mpec.certificate import plan as plans
-from formulations.mpec.certificate.certificate import Multipliers
-from formulations.mpec.certificate.local import (
+from formulations.certificate import plan as plans
+from formulations.certificate.certificate import Multipliers
+from formulations.certificate.local import (
     Derivatives,
     LocalModel,
     derivatives_of,
@@ -25,6 +22,9 @@ from formulations.mpec.certificate.local import (
     read_local,
     values_set,
 )
+from formulations.ipopt import MissingValueError
+from formulations.ipopt.problem import IpoptProblem
+from formulations.mpec import Stationarity, certify
 from formulations.solution import Outcome, Solution
 
 

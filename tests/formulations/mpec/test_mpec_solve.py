@@ -25,8 +25,8 @@ from formulations.mpec.homotopy import WorkBudget, Workspace, compile_branches
 from formulations.mpec.lifted import lift
 from formulations.mpec.strategies import STRATEGIES
 from formulations.solution import Outcome
-from tests.formulations.mpec.nearest import solver
 from tests.formulations.mpec.published import jr1, ralph1
+from tests.formulations.nearest import solver
 
 
 @pytest.mark.parametrize("strategy", STRATEGY_NAMES)
@@ -513,3 +513,16 @@ def test_what_is_infeasible_near_the_start_is_told_as_that():
     m = two(near)
     _crossed(m)
     assert "near the start" not in solve_mpec(m).message
+
+
+def test_solve_from_biactive_origin_reaches_a_solution():
+    """The origin of min (x - 1)^2 + (y - 1)^2 on two axes is feasible, but not stationary."""
+    m = pyo.ConcreteModel()
+    m.x, m.y = pyo.Var(bounds=(0, None), initialize=0.0), pyo.Var(bounds=(0, None), initialize=0.0)
+    m.cost = pyo.Objective(expr=(m.x - 1) ** 2 + (m.y - 1) ** 2)
+    m.pair = Complementarity(expr=complements(m.x >= 0, m.y >= 0))
+    result = solve_mpec(m)
+    assert result.solved
+    assert result.objective == pytest.approx(1.0, abs=1e-8)
+    assert result.certificate is not None
+    assert result.certificate.strong

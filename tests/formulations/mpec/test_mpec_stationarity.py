@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import OptimizeResult, linprog
 
-from formulations.mpec.certificate import stationarity
-from formulations.mpec.certificate.local import LocalModel
-from formulations.mpec.certificate.stationarity import (
+from formulations.certificate import stationarity
+from formulations.certificate.local import LocalModel
+from formulations.certificate.stationarity import (
     Stationarity,
     Verdict,
     active_set,

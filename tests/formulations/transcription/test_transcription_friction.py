@@ -14,8 +14,6 @@ from formulations.transcription.contact import pairs
 from formulations.transcription.residuals import PlanResiduals
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
-from models.errors import SceneError
-from models.fmu.coupled import split
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.contacts import Contact, DampingLaw, Friction
 from models.scene.parts import goal_limits
@@ -270,8 +268,3 @@ def test_a_plan_with_strict_complementarity_holds_under_the_true_law(law: Dampin
 
 def test_mpcc_refuses_damped_contacts():
     assert "damped contacts" in load_method("mpcc").accepts(pushed(KELVIN_VOIGT, steps=10))
-
-
-def test_parts_refuse_damping():
-    with pytest.raises(SceneError, match=r"damped contacts \(pad\)"):
-        split(pushed(HUNT_CROSSLEY))

@@ -32,8 +32,8 @@ from formulations import (
     relax,
     set_relaxation,
 )
+from formulations.certificate.plan import certify_plan
 from formulations.ipopt import compile_model
-from formulations.mpec.certificate.plan import certify_plan
 from formulations.pipelines import load_method, solve_scene
 from formulations.solution import ModelSize, Outcome, Solution
 from formulations.transcription.build import keep_within_depth, load_first_guess

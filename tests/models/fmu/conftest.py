@@ -20,7 +20,6 @@ from fmpy.fmi3 import FMU3Model, FMU3Slave
 from models.catalog import scene_path
 from models.dynamics import derive
 from models.fmu import build_fmu, variable_names
-from models.fmu.mjcf import read_robot
 from models.scene import Scene
 
 NAMES = ("three_cart", "bouncing_mass", "two_body_collision", "two_link_arm", "oscillator")
@@ -310,20 +309,3 @@ def reference() -> Callable[[Scene], Reference]:
 @pytest.fixture
 def probe_points() -> Callable[[Scene], list[tuple[np.ndarray, np.ndarray, np.ndarray]]]:
     return probes
-
-
-@pytest.fixture(scope="module")
-def robot(tmp_path_factory):
-    """robot(text, *contacts, keyframe=..) reads a robot from a text.
-
-    One text has one name, and with that its FMUs are built once.
-    """
-    pytest.importorskip("mujoco")
-    folder, names = tmp_path_factory.mktemp("robots"), {}
-
-    def made(text: str, *contacts: str, keyframe: str | None = None, suffix: str = ".xml"):
-        path = folder / f"robot{names.setdefault(text, len(names))}{suffix}"
-        path.write_text(text, encoding="utf-8")
-        return read_robot(path, contacts, keyframe)
-
-    return made

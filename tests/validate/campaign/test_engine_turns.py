@@ -1,7 +1,9 @@
 """Whose turn it is in an engine, and whose fault what ends it: each engine beside workers and a cluster that only answer."""
 
 import contextlib
+import importlib
 import importlib.util
+import re
 import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
@@ -15,9 +17,15 @@ from wording import unsaid
 
 from formulations.method import Pipeline
 from models.errors import MachineError
+from touchstone_annexes import is_present
 from validate.campaign import scheduler
-from validate.campaign.dask import DaskEngine, local_cluster
-from validate.campaign.engine import ExecutionContext, LocalEngine, open_local
+from validate.campaign.engine import (
+    EngineError,
+    ExecutionContext,
+    LocalEngine,
+    check_engine,
+    open_local,
+)
 from validate.campaign.runs import CampaignSettings, select
 from validate.campaign.scheduler import dependencies, run_tasks
 from validate.processes.process import usable_cores
@@ -29,8 +37,8 @@ from validate.tasks.worker import record_for_crash
 pytestmark = pytest.mark.process
 
 NEEDS_DASK = pytest.mark.skipif(
-    importlib.util.find_spec("distributed") is None,
-    reason="distributed is not installed (the extra `dask`)",
+    importlib.util.find_spec("distributed") is None or not is_present("validate.campaign.dask"),
+    reason="distributed (the extra `dask`) or the annex is not installed",
 )
 
 
@@ -84,14 +92,14 @@ class Campaign:
         engine._run = lambda task: self.record(task.key)
         return engine
 
-    def dask(self) -> DaskEngine:
+    def dask(self) -> Any:
         client = SimpleNamespace(
             nthreads=lambda: {},
             get_executor=lambda pure: self,
             scheduler=SimpleNamespace(address="here"),
             cluster=self.cluster,
         )
-        return DaskEngine(
+        return importlib.import_module("validate.campaign.dask").DaskEngine(
             client, self.context, 1, self.context.store.runs / "mark", len(self.tasks)
         )
 
@@ -211,6 +219,14 @@ def test_without_a_number_of_jobs_a_campaign_takes_every_core(
         assert engine.jobs == expected
 
 
+@pytest.mark.parametrize("name", ["slurm", "local:", "local:2", ""])
+def test_check_engine_unknown_name_lists_the_engines(name: str):
+    check_engine("local")
+    words = re.escape(f"--engine {name}: there is no such engine; the engines are local")
+    with pytest.raises(EngineError, match=words):
+        check_engine(name)
+
+
 @NEEDS_DASK
 def test_what_is_not_the_cluster_s_is_not_said_of_it(campaign: Campaign):
     """Whoever reads our progress may have had enough of it."""
@@ -295,7 +311,7 @@ def test_workers_that_cannot_be_started_here_are_one_sentence(
         with pytest.raises(
             MachineError, match=rf"^--engine dask: .*cannot be started.*\({why}\); make room"
         ) as caught:
-            _enter(local_cluster(1))
+            _enter(importlib.import_module("validate.campaign.dask").local_cluster(1))
         assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 

@@ -203,8 +203,8 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Of each page: the record of its run, and the columns of its files."""
     found: list[Any] = []
 
-    def render(run: Any, place: Path, engines: Any) -> str:
-        assert engines == ()
+    def render(run: Any, place: Path, additions: Any) -> str:
+        assert additions == {}
         files = {path.name: read_columns(path)[0] for path in (place / "runs" / run.key).iterdir()}
         found.append((run, files))
         return "<p>a & b 'c'</p>"

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import campaign_fakes
 
+from formulations.certificate.certificate import Certificate
+from formulations.certificate.stationarity import Stationarity
 from formulations.method import Leg, Pipeline
-from formulations.mpec import Certificate, Stationarity
 from formulations.solution import Solution
 from models.scene import Scene
 

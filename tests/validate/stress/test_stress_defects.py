@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from formulations.mpec import Stationarity
+from formulations.certificate.stationarity import Stationarity
 from formulations.solution import Outcome
 from models.catalog import load_scene
 from models.codegen.kernel import Kernel

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import sympy as sp
 
+from formulations.certificate.certificate import Certificate
+from formulations.certificate.stationarity import Stationarity
 from formulations.method import Pipeline
-from formulations.mpec.certificate.certificate import Certificate
-from formulations.mpec.certificate.stationarity import Stationarity
 from formulations.pipelines import find_pipeline, load_method
 from formulations.solution import ModelSize, Outcome, Seconds, Solution
 from models.catalog import load_scene

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,11 @@ import pytest
 from click.testing import CliRunner
 from wording import unsaid
 
+import touchstone as ts
 from models.catalog import load_scene
 from models.errors import TouchstoneError
 from models.trajectory import write_csv
-from reports.records.robustness_record import FailureRecord, RobustnessRecord
+from reports.records.robustness_record import FailureRecord, RobustnessRecord, WayRecord
 from tests.validate.judge.robustness.test_worlds import resting
 from validate.cli.robust import command
 from validate.judge.judgement import Judgement
@@ -222,3 +224,41 @@ def test_the_command_tells_it_in_text_json_csv_and_a_page(judged: Judgement, tmp
 def test_a_plan_that_is_not_there_is_named(arguments: list[str], parts: list[str]):
     told = CliRunner().invoke(command, arguments, standalone_mode=False)
     assert not unsaid(told.exception, *parts)
+
+
+def test_what_fails_is_named_the_most_frequent_first():
+    way = WayRecord.model_construct(
+        fails_by={"time_limit": 2, "replay_terminal_position_error": 1234}
+    )
+    assert way.fails == "replay terminal position error in 1,234; time limit in 2"
+
+
+@pytest.mark.parametrize(
+    ("call", "parts"),
+    [
+        (lambda: ts.robustness([], {}), ("list is no scene",)),
+        (
+            lambda: ts.robustness("three_cart", plan_at_rest(), hold="q", anyway=True),
+            ("hold 'q'", "zero or linear"),
+        ),
+        (
+            lambda: ts.robustness("three_cart", plan_at_rest(1e-9)),
+            ("plan", "5e+09 s", "three_cart lasts 5 s", "Give t in seconds"),
+        ),
+        (lambda: ts.robustness("three_cart", "plan.csv", map="map.toml"), ("map", "FMU")),
+    ],
+    ids=lambda value: "",
+)
+def test_robustness_wrong_arguments_one_sentence(
+    call: Callable[[], object], parts: tuple[str, ...]
+):
+    with pytest.raises(TouchstoneError) as caught:
+        call()
+    assert not unsaid(str(caught.value), *parts)
+
+
+def plan_at_rest(unit: float = 1.0) -> dict[str, np.ndarray]:
+    """Columns of a plan of three_cart at rest, its times in this unit [s]."""
+    start, t = ts.scene("three_cart").task.start, np.linspace(0.0, 5.0 / unit, 501)
+    still = dict(zip(("q1", "q2", "q3", "v1", "v2", "v3"), np.tile(start, (501, 1)).T, strict=True))
+    return {"t": t, **still, "u1": np.zeros(501), "u3": np.zeros(501)}

@@ -1,0 +1,1 @@
+"""Other simulators: one file per engine, with `ENGINE = Simulator(..)` and `simulate(drive)`."""
