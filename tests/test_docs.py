@@ -6,6 +6,7 @@ A block marked `output` has lines of what was printed so far, with `..` for what
 import importlib
 import re
 import shlex
+import shutil
 import signal
 from pathlib import Path
 
@@ -77,6 +78,8 @@ def test_every_snippet_runs(
     monkeypatch: pytest.MonkeyPatch,
 ):
     monkeypatch.setattr("validate.cli.trials.TRIALS", ())  # they have tests of their own
+    for path in (DOCS / name).glob("*.py"):  # files beside a page
+        shutil.copy(path, elsewhere)
     space: dict = {}
     printed = ""
     for block in _BLOCK.finditer(TEXTS[name]):

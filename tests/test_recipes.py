@@ -29,7 +29,10 @@ TEXT = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 _FILE = re.compile(r"<!-- file: ([\w.]+) -->\n```\w+\n(.*?)```", re.DOTALL)
 _INTO = re.compile(r"<!-- into: ([\w./]+) -->\n```\w+\n(.*?)```", re.DOTALL)
 _BELOW = re.compile(r"<!-- below: ([\w./]+): (.+?) -->\n```\w+\n(.*?)```", re.DOTALL)
-FILES = dict(_FILE.findall(TEXT))
+FILES = dict(_FILE.findall(TEXT)) | {
+    path.name: path.read_text(encoding="utf-8")
+    for path in (ROOT / "docs" / "extending").glob("*.py")
+}
 
 
 @pytest.fixture
