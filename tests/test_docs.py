@@ -22,6 +22,7 @@ TEXTS = {
     name: (DOCS / f"{name}.md").read_text(encoding="utf-8")
     for name in (
         "campaigns",
+        "planning",
         "field",
         "tutorial/scene",
         "tutorial/plan",
