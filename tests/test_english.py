@@ -20,6 +20,7 @@ ROOT = Path(__file__).parents[1]
 RULES = (HEADLESS_OPENING, LISTED_WORD, LONG_SENTENCE, LONG_FIRST_LINE, SHARED_COMMENT)
 # Largest counts by rule, in the order of RULES. Lower a number after rewriting; never raise one.
 CEILINGS = {
+    "README.md": (0, 0, 0, 0, 0),
     "docs": (44, 80, 156, 0, 0),
     "formulations": (0, 0, 2, 0, 0),
     "models": (1, 0, 25, 0, 3),
@@ -51,7 +52,8 @@ def _files() -> dict[str, list[Path]]:
     """Return the product's Python files and pages by area."""
     rooms = ("models", "formulations", "validate", "reports")
     paths = [path for room in rooms for path in (ROOT / room).rglob("*.py")]
-    paths += [ROOT / "touchstone.py", ROOT / "touchstone_command.py", *(ROOT / "docs").glob("*.md")]
+    paths += [ROOT / "touchstone.py", ROOT / "touchstone_command.py", ROOT / "README.md"]
+    paths += (ROOT / "docs").rglob("*.md")
     areas: dict[str, list[Path]] = {}
     for path in sorted(paths):
         areas.setdefault(_area(path.relative_to(ROOT)), []).append(path)
