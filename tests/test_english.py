@@ -21,7 +21,7 @@ RULES = (HEADLESS_OPENING, LISTED_WORD, LONG_SENTENCE, LONG_FIRST_LINE, SHARED_C
 # Largest counts by rule, in the order of RULES. Lower a number after rewriting; never raise one.
 CEILINGS = {
     "README.md": (0, 0, 0, 0, 0),
-    "docs": (44, 80, 156, 0, 0),
+    "docs": (2, 3, 13, 0, 0),
     "formulations": (0, 0, 2, 0, 0),
     "models": (1, 0, 25, 0, 3),
     "reports": (0, 0, 0, 0, 0),
