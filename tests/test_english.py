@@ -30,7 +30,7 @@ CEILINGS = {
     "validate/__init__.py": (0, 0, 0, 0, 0),
     "validate/__main__.py": (0, 0, 0, 0, 0),
     "validate/campaign": (0, 0, 0, 0, 0),
-    "validate/cli": (1, 3, 1, 5, 0),
+    "validate/cli": (0, 0, 0, 1, 0),
     "validate/fmi": (0, 0, 0, 0, 0),
     "validate/fmu_check": (0, 0, 0, 12, 0),
     "validate/judge": (0, 0, 0, 0, 0),
