@@ -8,7 +8,7 @@
 
 `departure` compares the motion on finer steps with the plan, with feedback, in parts of what the
 scene allows. A plan above 1 is solved again on shorter steps, and is taken only if there is no
-other. docs/planning.md has figures.
+other. docs/campaigns.md has figures.
 """
 
 from __future__ import annotations

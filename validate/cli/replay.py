@@ -152,7 +152,7 @@ or FMU; 3 a system requirement is missing.
     metavar="NAME,..|all",
     help="Verdicts of other simulators on the plan (docs/engines.md); all: the installed ones.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print the score as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="The score as JSON on stdout.")
 @wide_option
 @written_to("--html", "html_file", "FILE.html", "a page with verdict, player, plots and metrics")
 @click.option(
