@@ -3,10 +3,13 @@
 A block marked `output` has lines of what was printed so far, with `..` for what differs between machines.
 """
 
+import csv
 import importlib
 import re
 import shlex
+import shutil
 import signal
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -21,6 +24,7 @@ TEXTS = {
     name: (DOCS / f"{name}.md").read_text(encoding="utf-8")
     for name in (
         "campaigns",
+        "planning",
         "field",
         "tutorial/scene",
         "tutorial/plan",
@@ -77,6 +81,8 @@ def test_every_snippet_runs(
     monkeypatch: pytest.MonkeyPatch,
 ):
     monkeypatch.setattr("validate.cli.trials.TRIALS", ())  # they have tests of their own
+    for path in (DOCS / name).glob("*.py"):  # files beside a page
+        shutil.copy(path, elsewhere)
     space: dict = {}
     printed = ""
     for block in _BLOCK.finditer(TEXTS[name]):
@@ -160,9 +166,43 @@ def test_the_errata_say_what_the_closed_form_says():
     ]
 
 
-@pytest.mark.parametrize(
-    "path", sorted([*DOCS.glob("*.md"), *DOCS.glob("tutorial/*.md")]), ids=lambda path: path.name
-)
+def _column(table: str, name: str) -> list[str]:
+    with (DOCS / table).open(encoding="utf-8", newline="") as file:
+        return [row[name] for row in csv.DictReader(file)]
+
+
+def test_mpec_sets_summary_counts_the_rows_of_its_table():
+    text = (DOCS / "mpec_sets.md").read_text(encoding="utf-8")
+    results = Counter(
+        result.split()[0] for result in _column("mpec_sets.csv", "against it") if result
+    )
+    assert f"| reached | {results['reached']} |" in text
+    assert f"| better | {results['better']}: " in text
+    assert f"of other data | {results['proved']} |" in text
+    strategies = Counter(
+        strategy
+        for strategy, status in zip(
+            _column("mpec_sets.csv", "strategy"), _column("mpec_sets.csv", "status"), strict=True
+        )
+        if status == "solved"
+    )
+    assert all(f"`{name}` ({count})" in text for name, count in strategies.items())
+
+
+def test_results_of_carts_are_those_of_their_table():
+    text = (DOCS / "results.md").read_text(encoding="utf-8")
+    costs = {
+        name: [float(cost or "inf") for cost in _column("carts.csv", name)]
+        for name in ("mpcc", "softplus_dc+strict", "casadi")
+    }
+    excesses = [own / min(others) - 1 for own, *others in zip(*costs.values(), strict=True)]
+    assert [f"{excess:.1e}" for excess in excesses if excess > 1e-6] == ["4.0e-04"]
+    assert "better by 4.0e-4 of the cost" in text
+    assert "solves all twenty rows; the other two miss one" in text
+    assert [sum(cost < float("inf") for cost in each) for each in costs.values()] == [20, 19, 19]
+
+
+@pytest.mark.parametrize("path", sorted(DOCS.rglob("*.md")), ids=lambda path: path.name)
 def test_links_of_the_docs_lead_somewhere(path: Path):
     for target in re.findall(r"\]\(([^)#]+)\)", path.read_text(encoding="utf-8")):
         assert target.startswith("http") or (path.parent / target).exists(), target

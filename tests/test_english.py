@@ -20,7 +20,8 @@ ROOT = Path(__file__).parents[1]
 RULES = (HEADLESS_OPENING, LISTED_WORD, LONG_SENTENCE, LONG_FIRST_LINE, SHARED_COMMENT)
 # Largest counts by rule, in the order of RULES. Lower a number after rewriting; never raise one.
 CEILINGS = {
-    "docs": (44, 80, 156, 0, 0),
+    "README.md": (0, 0, 0, 0, 0),
+    "docs": (2, 3, 13, 0, 0),
     "formulations": (0, 0, 2, 0, 0),
     "models": (1, 0, 25, 0, 3),
     "reports": (0, 0, 0, 0, 0),
@@ -30,7 +31,7 @@ CEILINGS = {
     "validate/__init__.py": (0, 0, 0, 0, 0),
     "validate/__main__.py": (0, 0, 0, 0, 0),
     "validate/campaign": (0, 0, 0, 0, 0),
-    "validate/cli": (1, 3, 1, 5, 0),
+    "validate/cli": (0, 0, 0, 1, 0),
     "validate/fmi": (0, 0, 0, 0, 0),
     "validate/fmu_check": (0, 0, 0, 12, 0),
     "validate/judge": (0, 0, 0, 0, 0),
@@ -52,7 +53,7 @@ def _files() -> dict[str, list[Path]]:
     """Return the product's Python files and pages by area."""
     rooms = ("models", "formulations", "validate", "reports")
     paths = [path for room in rooms for path in (ROOT / room).rglob("*.py")]
-    paths += [*ROOT.glob("touchstone*.py"), *(ROOT / "docs").glob("*.md")]
+    paths += [*ROOT.glob("touchstone*.py"), ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
     areas: dict[str, list[Path]] = {}
     for path in sorted(paths):
         areas.setdefault(_area(path.relative_to(ROOT)), []).append(path)

@@ -28,8 +28,12 @@ ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 _FILE = re.compile(r"<!-- file: ([\w.]+) -->\n```\w+\n(.*?)```", re.DOTALL)
 _INTO = re.compile(r"<!-- into: ([\w./]+) -->\n```\w+\n(.*?)```", re.DOTALL)
+_COPIED = re.compile(r"\[([\w.]+)\]\(extending/\1\) to `([\w/]+)`")
 _BELOW = re.compile(r"<!-- below: ([\w./]+): (.+?) -->\n```\w+\n(.*?)```", re.DOTALL)
-FILES = dict(_FILE.findall(TEXT))
+FILES = dict(_FILE.findall(TEXT)) | {
+    path.name: path.read_text(encoding="utf-8")
+    for path in (ROOT / "docs" / "extending").glob("*.py")
+}
 
 
 @pytest.fixture
@@ -152,6 +156,8 @@ def test_the_metric_and_the_page_are_in_a_campaign(folder: Path):
         shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
     for path in ROOT.glob("touchstone*.py"):
         shutil.copy(path, copy)
+    for name, place in _COPIED.findall(TEXT):
+        shutil.copy(ROOT / "docs" / "extending" / name, copy / place)
     for place, text in _INTO.findall(TEXT):
         with (copy / place).open("a", encoding="utf-8") as file:
             file.write(f"\n\n{text}" if file.tell() else text)

@@ -265,7 +265,7 @@ def _notes(rows: list[dict[str, Any]], published: dict[str, float]) -> list[str]
     show_default=True,
     help="So many at a time.",
 )
-@written_to("--markdown", "markdown", "FILE.md", "the tables, as docs/mpec_sets.md has them")
+@written_to("--markdown", "markdown", "FILE.md", "the table of all problems")
 @out_option
 def command(
     folder: Path, optima: Path | None, limit: float, proof: float, peer: int | None, part: str,

@@ -1,4 +1,4 @@
-"""What the site shows beside the files of docs, made when it is built: the README, the scenes, methods and metrics as they are, the public names.
+"""Make pages of the site at build time: the README, scenes, methods, metrics, public names.
 
 pip install -e '.[docs]' && mkdocs build --strict
 
@@ -91,7 +91,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Links out of docs lead to what the site has of it, and are words where it has nothing.
+    """Point links out of docs to pages of the site; keep only the words if there is no page.
 
     A file that the text writes bears its name.
     """
@@ -107,7 +107,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 
 def _in_site(path: str) -> str | None:
-    """Where the site has a file of the repository; None where it has not."""
+    """Return the page of a file of the repository, or None."""
     if path in ("README.md", "CHANGELOG.md"):
         return {"README.md": "index.md", "CHANGELOG.md": "changelog.md"}[path]
     if path.startswith("docs/"):
@@ -117,7 +117,7 @@ def _in_site(path: str) -> str | None:
 
 
 def _from_root(text: str) -> str:
-    """A text of the repository's root as a page of docs."""
+    """Return a text of the repository's root as a page of docs."""
     return _LINK.sub(
         lambda found: (
             found[0] if "://" in found[2] else f"{found[1]}(../{found[2]}{found[3] or ''})"
@@ -127,7 +127,7 @@ def _from_root(text: str) -> str:
 
 
 def _table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """A Markdown table; empty where there are no rows."""
+    """Return a Markdown table, or nothing without rows."""
     lines = [
         "| " + " | ".join(str(cell).replace("|", "\\|").replace("\n", " ") for cell in row) + " |"
         for row in rows
@@ -159,19 +159,21 @@ def _gallery(scenes: list[Scene]) -> str:
         f'<div markdown="span">{_picture(scene)}[{scene.name}](scenes/{scene.name}.md)<br>{scene.title}</div>'
         for scene in scenes
     )
-    lead = "What is there to plan on, each at its start. A scene of your own is [one file](extending.md)."
+    lead = (
+        "Each scene is drawn at its start. A scene of your own is [one file](extending.md#a-scene)."
+    )
     return f'# Scenes\n\n{lead}\n\n<div class="gallery" markdown="1">\n{cards}\n</div>\n'
 
 
 def _players(scenes: list[Scene], campaign: Path) -> dict[str, str]:
-    """The gallery of plans in motion, and the page in each of its frames: as many as the campaign has scenes that can be drawn."""
+    """Return the gallery of plans in motion, and a page for each scene of the campaign."""
     text = "# Plans in motion\n\n"
     if not (campaign / "campaign.json").is_file():
         return {
             "players.md": text
-            + "This site was built without a campaign. Run `python -m validate all`, and build it again.\n"
+            + "This site was built without a campaign. Run `python -m validate all`, then build the site again.\n"
         }
-    text += "The cheapest plan that holds on each scene, as it was planned (dashed) and as it was replayed through the FMU of the scene.\n"
+    text += "The cheapest plan that holds on each scene, as planned (dashed) and as replayed through the FMU of the scene.\n"
     made = render_players(campaign)
     names = [scene.name for scene in scenes if scene.name in made]
     for name in names:
@@ -180,7 +182,7 @@ def _players(scenes: list[Scene], campaign: Path) -> dict[str, str]:
 
 
 def _picture(scene: Scene) -> str:
-    """The shapes of a scene at its start, as one SVG; empty where it has none."""
+    """Return the shapes of a scene at its start as an SVG, or nothing."""
     if not scene.shapes:
         return ""
     values = scene.parameter_values
@@ -208,7 +210,7 @@ def _picture(scene: Scene) -> str:
 
 
 def _scene(scene: Scene) -> str:
-    """All that a scene's file says, in tables."""
+    """Return the contents of a scene's file as tables."""
     task, record = scene.task, scene_record(scene)
     goal = ["free" if value is None else _number(value) for value in task.goal]
     text = [f"# {scene.name}\n\n{scene.title}. Source: {scene.source}.\n\n{_picture(scene)}\n"]
@@ -322,7 +324,7 @@ def _scene(scene: Scene) -> str:
     text += [
         "## Limits\n",
         _table(("metric", "limit", "reason"), limits) or "None of its own.\n",
-        "All other metrics have [the limits of everybody](../metrics.md).\n",
+        "All other metrics have [the default limits](../metrics.md).\n",
     ]
     answers = [
         (item.quantity, f"{float(item.value):.10g}", _number(item.tolerance), item.source)
@@ -366,7 +368,7 @@ def _damping(contact: models.scene.Contact) -> str:
 def _methods() -> str:
     text = [
         "# Methods and pipelines\n",
-        "A method finds a plan; a pipeline chains methods, each from the plan of the one before. [Adding one](extending.md) takes one file.\n",
+        "A method finds a plan. A pipeline chains methods, each from the plan of the previous one. [A new method](extending.md#a-method) takes one file.\n",
     ]
     pipelines = [
         (
@@ -414,7 +416,7 @@ def _choices(option: Mapping[str, Any]) -> str:
 def _metrics() -> str:
     text = [
         "# Metrics and limits\n",
-        "What a plan is asked, in the order of the questions; [What a verdict says](verdict.md) tells what comes of it. A scene, a campaign file and the map of an FMU may limit each, but for what is only shown.\n",
+        "Metrics in the order of the questions of [the verdict](verdict.md). A scene, a campaign file and the map of an FMU may limit each metric, except those that are only shown.\n",
     ]
     for question in Question:
         entries = [entry for entry in (*TABLE, *FEEDBACK) if entry.question is question]
@@ -457,7 +459,7 @@ def _touchstone() -> str:
 
 
 def _home(package, name: str) -> str:
-    """Where an object of a package is defined; a constant is where the package has it from."""
+    """Return the module that defines an object of a package."""
     item = getattr(package, name)
     return f"{getattr(item, '__module__', package.__name__)}.{name}"
 

@@ -31,10 +31,9 @@ _RULE = "\n\n".join(
 )
 _EPILOG = f"""{_RULE}
 
-Stored runs are used again, except runs that crashed or ran out of a shorter
-time limit. --fresh deletes the stored runs that are selected, then runs them.
-The key of a run is the hash of its content: scene, pipeline with all options,
-our sources, library versions.
+Stored runs are reused, except crashed runs and runs that reached a shorter
+time limit. The key of a run is the hash of its content: scene, pipeline with
+all options, our sources, library versions.
 
 \b
 Examples:
@@ -49,7 +48,7 @@ Examples:
 
 Exit codes: 0 every required check passed; 1 one failed; 2 usage,
 configuration or nothing selected; 3 a system requirement is missing
-(--dry-run: or fails its trial); 130 interrupted.
+(--dry-run: or its trial fails); 130 interrupted.
 """
 
 
@@ -66,12 +65,11 @@ def command(
 ) -> int:
     """Run every scene by every pipeline, replay and score each plan, write the report.
 
-    Progress goes to stderr; to stdout what was found, why runs fail, and the path of the report.
-    DIR then holds report.html with its pages, results.csv (one row a stage), checks.csv (one row a
-    check, such as that of a scene's FMU), violation.csv, campaign.json and, for each run,
-    runs/<key>.
+    Progress goes to stderr. Findings, reasons of failures and the path of the report go to stdout.
+    DIR gets report.html with its pages, results.csv (one row a stage), checks.csv (one row a
+    check), violation.csv and campaign.json. Each run has a folder runs/<key>.
 
-    A part (-k, --scene, --quick, --last-failed) leaves the other runs of DIR in these tables and in
+    A selection (-k, --scene, --quick, --last-failed) keeps the other runs of DIR in the tables and
     the report.
     """
     settings = CampaignSettings(command=command_line(arguments), **options)

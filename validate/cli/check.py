@@ -48,7 +48,7 @@ _SIGNS = {"passed": "✓", "failed": "✗", "not offered": "-", "advice": "!", "
     "names",
     multiple=True,
     metavar="NAME",
-    help="Only the check of this name; may be repeated.",
+    help="Run only the check with this name; may be repeated.",
 )
 @click.option(
     "--time-limit",
@@ -56,13 +56,13 @@ _SIGNS = {"passed": "✓", "failed": "✗", "not offered": "-", "advice": "!", "
     default=60.0,
     show_default=True,
     metavar="SECONDS",
-    help="For each check.",
+    help="Limit the wall time of each check.",
 )
 @click.option(
     "--json",
     "as_json",
     is_flag=True,
-    help="The results as JSON on stdout: an object; of several FMUs, a list of them.",
+    help="Print the results as JSON: an object, or a list for several FMUs.",
 )
 @written_to("--html", "html_file", "FILE.html", "a page with every check")
 @written_to(
@@ -76,7 +76,7 @@ _SIGNS = {"passed": "✓", "failed": "✗", "not offered": "-", "advice": "!", "
     "waivers",
     multiple=True,
     metavar="NAME=REASON",
-    help="Accept a failure of this check, for this reason: it is shown as waived and does not count. May be repeated.",
+    help="Accept a failure of this check for a reason: it is shown as waived and does not count; may be repeated.",
 )
 @wide_option
 @click.pass_obj

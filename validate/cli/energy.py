@@ -31,9 +31,9 @@ mistake in the scene or the step.
     "--step",
     required=True,
     metavar="FILE.py:FUNCTION|SCHEME",
-    help="A Python function, or semi_implicit_euler, implicit_midpoint or radau_iia_2.",
+    help="Test this Python function, or semi_implicit_euler, implicit_midpoint or radau_iia_2.",
 )
-@click.option("--json", "as_json", is_flag=True, help="The figures as JSON on stdout.")
+@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
 def command(scene: str, step: str, as_json: bool) -> int:
     """Simulate free motion at the task's step h, h/5 and h/25, and compare the energies.
 

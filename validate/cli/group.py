@@ -31,17 +31,17 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 # command may be missing.
 _COMMANDS = {
     "all": "Run every scene by every pipeline, replay and score each plan, write the report.",
-    "run": "Run a campaign of your own: scenes, changes, sweeps and pipelines from a TOML file.",
+    "run": "Run a campaign from a TOML file of scenes, changes, sweeps and pipelines.",
     "new": "Write a scene file that runs, or a plan that fits a scene.",
-    "list": "Scenes, pipelines and methods.",
-    "show": "One run of a campaign: its stages, verdict, questions, metrics, options, log and the command that runs it again.",
+    "list": "List scenes, pipelines, methods and stress cases.",
+    "show": "Show a run of a campaign: stages, verdict, questions, metrics, options, log and the command to repeat it.",
     "report": "Rebuild results.csv and report.html of a campaign from its records.",
-    "replay": "Replay and score anybody's plan, on a scene or on anybody's FMU.",
-    "robust": "How much a plan can take: the share of perturbed worlds in which it still arrives.",
-    "energy": "Whether a time step follows the energies of a scene.",
-    "truth": "What is true of contact, and what our FMU and other simulators make of it.",
+    "replay": "Replay and score a plan on a scene or an external FMU.",
+    "robust": "Measure the share of perturbed worlds in which a plan still arrives.",
+    "energy": "Test whether a time step follows the energies of a scene.",
+    "truth": "Compare our FMU and other simulators with exact answers of contact problems.",
     "fmu": "Export a scene as an FMU.",
-    "check": "Check any FMU: its files, and how its code behaves.",
+    "check": "Check the files and the behaviour of any FMU.",
 }
 _MODULES = present({name: f"validate.cli.{name}" for name in _COMMANDS})
 _EPILOG = """\b
@@ -54,7 +54,7 @@ Examples:
 \b
 Exit codes:
   0    every required check passed
-  1    one failed, or touchstone has a bug and says so
+  1    a required check failed, or touchstone has a bug
   2    wrong usage or configuration, or nothing selected
   3    a system requirement is missing, which is named
   130  interrupted; the same command resumes
@@ -127,7 +127,7 @@ class LazyGroup(click.Group):
 )
 @click.version_option(package_name="touchstone-contact", prog_name="touchstone")
 def group() -> None:
-    """Plan through contact by every method of the field, replay each plan through an FMU, and say whether it holds."""
+    """Plan through contact, replay each plan through an FMU, and judge whether it holds."""
 
 
 def run(arguments: Sequence[str], command: click.Group = group, program: str = PROGRAM) -> int:

@@ -30,10 +30,10 @@ Examples:
 Exit codes: 0 listed; 2 usage.
 """
 )
-@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the lists as JSON.")
 @wide_option
 def command(as_json: bool) -> int:
-    """Scenes, pipelines, methods and stress cases, with what each is."""
+    """List scenes, pipelines, methods and stress cases."""
     cases = [(name, describe_case(name)) for name in case_names()]
     methods = Path(__file__).resolve().parents[2] / "formulations" / "methods"
     data = {

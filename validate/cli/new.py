@@ -45,7 +45,7 @@ Exit codes: 0 written; 2 usage, or the file exists.
     "fmu",
     type=A_FILE,
     metavar="FILE.fmu",
-    help="Write a map of this FMU, filled with what the FMU declares, and a plan that fits.",
+    help="Write a map of this FMU from its description, and a plan that fits.",
 )
 def command(name: str | None, scene_name: str | None, fmu: Path | None) -> int:
     """Write a scene file that runs, with a plan, and print the next commands.

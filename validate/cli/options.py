@@ -58,7 +58,7 @@ def written_to(option: str, name: str, metavar: str, what: str) -> Callable[[Com
     """
     kind = click.Path(path_type=Path, dir_okay=False)
     return lambda command: click.option(
-        option, name, type=kind, metavar=metavar, help=f"Where to write {what}."
+        option, name, type=kind, metavar=metavar, help=f"Write {what} to this file."
     )(apart(option, name)(command))
 
 
@@ -154,7 +154,7 @@ CHOOSING = options(
     click.option(
         "--quick",
         is_flag=True,
-        help="Only the pipelines softplus_dc+strict, softplus_gd+relu_gd and free_motion, without the scenes that take minutes. The summary lists the omitted runs.",
+        help="Run only the pipelines softplus_dc+strict, softplus_gd+relu_gd and free_motion, without the scenes that take minutes.",
     ),
     click.option(
         "--scene",
@@ -162,7 +162,7 @@ CHOOSING = options(
         multiple=True,
         metavar="NAME|FILE.py",
         shell_complete=scenes,
-        help="Only this scene, by name or by the path of a scene file; may be repeated.",
+        help="Select this scene, by name or by the path of a scene file; may be repeated.",
     ),
     click.option(
         "--time-limit",
@@ -170,7 +170,7 @@ CHOOSING = options(
         default=240.0,
         show_default=True,
         metavar="SECONDS",
-        help="For each run: all its stages and replays.",
+        help="Limit the wall time of each run, with all its stages and replays.",
     ),
 )
 # Options that a campaign file does not replace.
@@ -181,35 +181,33 @@ SELECTING = options(
         multiple=True,
         callback=_one_expression,
         metavar="EXPR",
-        help="Only what matches by the name of its scene, pipeline or method: words joined by and, or, not, in upper or lower case. =NAME is a whole name; FMU and stress name the checks.",
+        help="Select by the names of scene, pipeline and method: words joined by and, or, not. =NAME is a whole name; FMU and stress name the checks.",
     ),
-    click.option(
-        "--fresh", is_flag=True, help="Delete the stored runs that are selected, then run them."
-    ),
+    click.option("--fresh", is_flag=True, help="Delete the selected stored runs, then run them."),
     click.option(
         "--worlds/--no-worlds",
         default=None,
-        help="Try every plan that holds in perturbed worlds, up to 256 of them, or none (docs/robustness.md).  [default: the cheapest of each scene]",
+        help="Try every plan that holds, or none, in perturbed worlds (docs/robustness.md).  [default: the cheapest of each scene]",
     ),
     click.option(
         "--last-failed",
         "--lf",
         is_flag=True,
-        help="Run what failed when the campaign in DIR last ran, and nothing else.",
+        help="Run only the runs that failed in the last campaign in DIR.",
     ),
     click.option(
         "-j",
         "--jobs",
         type=click.IntRange(min=1),
         metavar="N",
-        help="Runs at a time, each on one core.  [default: the number of cores; on a standing Dask cluster, as many as it takes]",
+        help="Run N runs at a time, each on one core.  [default: the number of cores; on an existing Dask cluster, all]",
     ),
     click.option(
         "--plugin",
         "plugin",
         default=_our_plugin,
         metavar="MODULE[:NAME]",
-        help="A module on PYTHONPATH with a METHOD of your own; or MODULE:PLUGIN, which may replace the judge too (docs/extending.md).",
+        help="Load a module on PYTHONPATH with a METHOD of your own, or MODULE:PLUGIN, which may replace the judge (docs/extending.md).",
     ),
 )
 # Options for the place of execution and its end.
@@ -219,7 +217,7 @@ ENDING = options(
         default="local",
         show_default=True,
         metavar="local|dask[:ADDRESS|:FILE.json]",
-        help="Where runs are executed: child processes here, Dask workers here, or the Dask cluster of a scheduler, by its address or by the file it wrote.",
+        help="Execute runs in child processes here, in Dask workers here, or on a Dask cluster by its scheduler's address or file (docs/cluster.md).",
     ),
     click.option(
         "-x", "stop_early", is_flag=True, help="Stop at the first run that makes the campaign fail."
@@ -230,13 +228,13 @@ ENDING = options(
         type=click.IntRange(min=0),
         default=0,
         metavar="N",
-        help="Run again what crashes, up to N times.",
+        help="Repeat crashed runs, up to N times.",
     ),
 )
 DRY_RUN = click.option(
     "--dry-run",
     is_flag=True,
-    help="Run and write nothing: try this machine, and print what would run, what is stored, and what no method applies to.",
+    help="Test this machine and list the runs, without running or writing anything.",
 )
 OUT = click.option(
     "--out",
@@ -244,13 +242,13 @@ OUT = click.option(
     default="runs/all",
     show_default=True,
     metavar="DIR",
-    help="The folder of the campaign.",
+    help="Store the campaign in this folder.",
 )
 OUT_OF_FILE = click.option(
     "--out",
     type=A_FILE,
     metavar="DIR",
-    help="The folder of the campaign.  [default: runs/NAME of the file]",
+    help="Store the campaign in this folder.  [default: runs/NAME of the file]",
 )
 # How results are printed.
 PRINTING = options(
@@ -258,8 +256,8 @@ PRINTING = options(
         "--table",
         "as_table",
         is_flag=True,
-        help="A table with a row for each stage of each run (--dry-run: for each run).",
+        help="Print a table with a row for each stage (--dry-run: for each run).",
     ),
     wide_option,
-    click.option("--json", "as_json", is_flag=True, help="All of it, as JSON on stdout."),
+    click.option("--json", "as_json", is_flag=True, help="Print all results as JSON."),
 )

@@ -39,19 +39,19 @@ FMU_OPTIONS = options(
         "--fmu",
         type=A_FILE,
         metavar="FILE.fmu",
-        help="Somebody's FMU (2.0 or 3.0) instead of a scene's own.",
+        help="Use this external FMU (2.0 or 3.0) instead of a scene.",
     ),
     click.option(
         "--map",
         "map_path",
         type=A_FILE,
         metavar="MAP.toml",
-        help="Which column of the plan is which variable of the FMU. Without it: those of equal names.",
+        help="Map columns of the plan to variables of the FMU.  [default: equal names]",
     ),
     click.option(
         "--hold",
         type=click.Choice(["zero", "linear"]),
-        help="Inputs between two rows: constant (the default), or a line to the next row. The CSV may say so itself: # hold: linear.",
+        help="Hold inputs constant between two rows, or interpolate linearly. `# hold: linear` in the CSV does the same.  [default: zero]",
     ),
     click.option(
         "--time-limit",
@@ -59,7 +59,7 @@ FMU_OPTIONS = options(
         default=300.0,
         show_default=True,
         metavar="SECONDS",
-        help="The FMU is ended after them.",
+        help="Limit the wall time of the FMU.",
     ),
     click.option(
         "--memory-limit",
@@ -67,18 +67,18 @@ FMU_OPTIONS = options(
         default=4.0,
         show_default=True,
         metavar="GIB",
-        help="Address space of the FMU's process.",
+        help="Limit the address space of the FMU's process.",
     ),
     click.option(
         "--own-step",
         is_flag=True,
-        help="With --fmu: judge Co-Simulation with one doStep a step of the plan, as who recorded the plan stepped it; its error is what shorter steps change.",
+        help="With --fmu: judge Co-Simulation with one doStep a step of the plan; its error is the change with shorter steps.",
     ),
     click.option(
         "--ignore",
         multiple=True,
         metavar="COLUMN",
-        help="Leave this column of the CSV out; may be repeated.",
+        help="Ignore this column of the CSV; may be repeated.",
     ),
 )
 
@@ -133,20 +133,20 @@ or FMU; 3 a system requirement is missing.
 )
 @click.argument("plan", type=click.Path(path_type=Path), metavar="PLAN.csv|PLAN.nc")
 @click.option(
-    "--scene", metavar="NAME|FILE.py", shell_complete=scenes, help="The scene the plan is for."
+    "--scene", metavar="NAME|FILE.py", shell_complete=scenes, help="Judge the plan on this scene."
 )
 @FMU_OPTIONS
 @click.option(
     "--track",
     is_flag=True,
-    help="Replay with feedback too, and show both. Without this option that is done only where the inputs alone do not give the plan's motion.",
+    help="Always replay with feedback too.  [default: only if the inputs alone do not give the plan's motion]",
 )
 @click.option(
     "--require",
     type=click.Choice(["holds", "feedback"]),
     default="feedback",
     show_default=True,
-    help="What exit code 0 needs: that the plan holds by its inputs alone, or that it holds with feedback.",
+    help="Require for exit code 0 that the plan holds by its inputs alone, or at least with feedback.",
 )
 @options(*(item.option for item in _ADDITIONS))
 @click.option("--json", "as_json", is_flag=True, help="The score as JSON on stdout.")
@@ -156,7 +156,7 @@ or FMU; 3 a system requirement is missing.
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="Write score.json and replay.nc there.",
+    help="Write score.json and replay.nc to this folder.",
 )
 @click.pass_obj
 def command(
@@ -173,10 +173,9 @@ def command(
 ) -> int:
     """Replay a plan through an FMU, in a process of its own, and print its score.
 
-    PLAN.csv has one row a node: t and the inputs by name, and positions, velocities and contact
-    forces where the plan has them. What it does not say is not asked. A scene takes the plans of a
-    campaign too: DIR/runs/KEY/trajectory.nc. docs/replay.md describes plan and map, docs/verdict.md
-    what is asked.
+    PLAN.csv has one row a node: t, the inputs by name, and optionally positions, velocities and
+    contact forces. A scene also takes plans of a campaign: DIR/runs/KEY/trajectory.nc.
+    docs/replay.md describes plan and map, docs/verdict.md the questions.
     """
     wanted = {item: value for item in _ADDITIONS if (value := given.pop(item.name)) is not None}
     wired = read_fmu_options(scene, fmu, **given)

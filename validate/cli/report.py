@@ -28,15 +28,15 @@ Exit codes: 0 rebuilt; 2 a folder that is no campaign; 3 it cannot be written.
 )
 @click.argument("folder", type=click.Path(path_type=Path), default="runs/all", metavar="[DIR]")
 @click.option(
-    "--single-file", is_flag=True, help="Everything in one file, DIR/single.html, instead of pages."
+    "--single-file", is_flag=True, help="Write one file, DIR/single.html, instead of pages."
 )
 @click.option(
     "-j",
     "--jobs",
     type=click.IntRange(min=1),
-    help="Pages are drawn by so many processes (default: all cores).",
+    help="Draw pages in N processes.  [default: the number of cores]",
 )
-@click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout.")
+@click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 def command(folder: Path, single_file: bool, jobs: int | None, as_json: bool) -> int:
     """Rebuild the tables (CSV) and report.html of the campaign in DIR (runs/all) from its records.
 

@@ -38,8 +38,8 @@ Examples:
   python -m validate robust plan.csv --scene three_cart --perturb parameters
   python -m validate robust plan.csv --fmu robot.fmu --map robot.toml --perturb mass_trunk
 
-Exit codes: 0 it was measured; 2 a mistake, or a plan that does not hold to begin
-with; 3 a system requirement is missing; 130 interrupted: what was tried is told.
+Exit codes: 0 measured; 2 a mistake, or a plan that does not hold in the unperturbed
+world; 3 a system requirement is missing; 130 interrupted, partial results are printed.
 """
 )
 @click.argument("plan", metavar="PLAN.csv|RUN")
@@ -47,18 +47,22 @@ with; 3 a system requirement is missing; 130 interrupted: what was tried is told
     "--scene",
     metavar="NAME|FILE.py",
     shell_complete=scenes,
-    help="The scene the plan is for; of a run, its own.",
+    help="Judge the plan on this scene.  [default: the scene of the run]",
 )
-@folder_of("--in", "The campaign of a run.")
+@folder_of("--in", "Read the run from this campaign.")
 @click.option(
     "--samples",
     type=int,
     default=1000,
     show_default=True,
-    help="How many worlds; a quarter of them with feedback too.",
+    help="Try this number of worlds, and a quarter of them with feedback.",
 )
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the worlds."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Draw the worlds from this seed.",
 )
 @FMU_OPTIONS
 @click.option(
@@ -66,17 +70,21 @@ with; 3 a system requirement is missing; 130 interrupted: what was tried is told
     "kinds",
     multiple=True,
     metavar="KIND|NAME",
-    help="What is perturbed: parameters, start, gain, noise, delay, or one by its name; may be repeated. Everything without it.",
+    help="Perturb only parameters, start, gain, noise, delay, or one of them by its name; may be repeated.  [default: all]",
 )
-@click.option("--anyway", is_flag=True, help="Measure a plan too that does not hold to begin with.")
-@click.option("--json", "as_json", is_flag=True, help="What was measured as JSON on stdout.")
+@click.option(
+    "--anyway",
+    is_flag=True,
+    help="Measure a plan that does not hold in the unperturbed world, too.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @wide_option
-@written_to("--html", "html_file", "FILE.html", "a page of what was measured")
+@written_to("--html", "html_file", "FILE.html", "a page with the results")
 @written_to(
     "--csv",
     "csv_file",
     "FILE.csv",
-    "every world: what was otherwise in it, and how near to its limit the plan came",
+    "every world, with its perturbations and the plan's largest share of a limit",
 )
 def command(
     plan: str,
@@ -92,11 +100,11 @@ def command(
     csv_file: Path | None,
     **given: Any,
 ) -> int:
-    """Try a plan in perturbed worlds: in what share of them it still arrives, and what it takes least of.
+    """Try a plan in perturbed worlds: the share in which it arrives, and the weakest perturbation.
 
-    Parameters, start, gain of the inputs, noise and delay are otherwise by up to the sizes of
-    docs/robustness.md, all at once; then each by itself until the plan fails. Inputs alone and with
-    feedback apart.
+    Parameters, start, gain of the inputs, noise and delay are perturbed by up to the sizes of
+    docs/robustness.md: first all together, then each alone until the plan fails. Inputs alone and
+    inputs with feedback are reported separately.
     """
     if fmu is not None:
         subject, trajectory, name = (

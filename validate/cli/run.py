@@ -21,10 +21,9 @@ Examples:
   python -m validate run stiffness.toml --out runs/stiffness
   python -m validate run --schema > campaign.schema.json
 
-Files to begin with are in docs/campaigns; docs/campaigns.md says what may
-stand in one. DIR then holds what `all` leaves there, and campaign.toml (the
-file as it was) and resolved.toml (with everything filled in; it runs too).
-What is changed in a scene or an option is part of a run's key.
+docs/campaigns has examples, docs/campaigns.md describes every key. DIR gets
+the files of `all`, a copy campaign.toml, and resolved.toml with every choice
+filled in. Changes of a scene or an option are part of a run's key.
 
 Exit codes: 0 every required check passed; 1 one failed; 2 mistakes in the
 file (all of them are named), or nothing selected; 3 a system requirement is
@@ -38,9 +37,7 @@ missing; 130 interrupted.
 @ENDING
 @DRY_RUN
 @OUT_OF_FILE
-@click.option(
-    "--schema", is_flag=True, help="Print the JSON Schema of campaign files, for editors, and end."
-)
+@click.option("--schema", is_flag=True, help="Print the JSON Schema of campaign files for editors.")
 @PRINTING
 @click.pass_obj
 def command(
@@ -52,7 +49,7 @@ def command(
     as_table: bool,
     **options: Any,
 ) -> int:
-    """Run a campaign of your own: scenes by name or file, with changed and swept numbers, pipelines and eps schedules."""
+    """Run a campaign file: scenes with changed and swept numbers, pipelines and eps schedules."""
     if schema:
         data = {
             "$schema": "https://json-schema.org/draft/2020-12/schema",

@@ -25,7 +25,7 @@ Examples:
   python -m validate show "three_cart x mpcc"
   python -m validate show mpcc --in runs/mine
 
-Exit codes: 0 it does not make its campaign fail; 1 it does; 2 there is no such
+Exit codes: 0 the run does not fail its campaign; 1 the run fails it; 2 no such
 run, or more than one.
 """
 _LOG_LINES = 15
@@ -33,14 +33,13 @@ _LOG_LINES = 15
 
 @click.command(epilog=_EPILOG)
 @click.argument("run", metavar="RUN|KEY|NAME")
-@folder_of("--in", "The folder of the campaign.")
-@click.option("--json", "as_json", is_flag=True, help="The stored record, whole, as JSON.")
+@folder_of("--in", "Read the run from this campaign.")
+@click.option("--json", "as_json", is_flag=True, help="Print the stored record as JSON.")
 @wide_option
 def command(run: str, folder: Path, as_json: bool) -> int:
-    """One run: its stages, verdict, questions, metrics, options, the end of its log, and the command that runs it again.
+    """Show a run: stages, verdict, questions, metrics, options, log and the command to repeat it.
 
-    The run is named by its folder, by the beginning of its key, by its name, or by a part of its
-    name that no other has.
+    The run is named by its folder, the beginning of its key, its name, or a unique part of its name.
     """
     folder, record = find_run(run, folder)
     if as_json:

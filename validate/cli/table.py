@@ -42,7 +42,7 @@ def _keep_wide(context: click.Context, parameter: click.Parameter, value: bool) 
 
 def wide_option(command: _Command) -> _Command:
     """Add `--wide` to a command that prints tables."""
-    words = "Tables with all columns, however wide."
+    words = "Print tables with all columns, at any width."
     return click.option(
         "--wide", is_flag=True, expose_value=False, callback=_keep_wide, help=words
     )(command)

@@ -61,31 +61,30 @@ Examples:
   python -m validate truth
   python -m validate truth --engine fmu,mujoco --out runs/truth
 
-Exit codes: 0 our reference is right to 1e-7 on every problem, whatever the others
-are; 1 it is not; 2 a mistake; 3 an engine that was asked for by name is not
-installed, or a system requirement is missing.
+Exit codes: 0 our reference is right to 1e-7 on every problem; 1 it is not; 2 a
+mistake; 3 a named engine is not installed, or a system requirement is missing.
 """
 )
 @click.option(
     "--engine",
     "engines",
     metavar="NAME,..",
-    help="Engines to ask, by name; without it all there are.",
+    help="Compare only these engines.  [default: all]",
 )
 @click.option(
     "-j",
     "--jobs",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Problems at a time.  [default: the number of cores]",
+    help="Solve N problems at a time.  [default: the number of cores]",
 )
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="Write truth.html, truth.csv and truth.json there.",
+    help="Write truth.html, truth.csv and truth.json to this folder.",
 )
-@written_to("--markdown", "markdown", "FILE.md", "the table of errors, as docs/truth.md is")
+@written_to("--markdown", "markdown", "FILE.md", "the table of errors (docs/truth.md)")
 @wide_option
 @click.pass_obj
 def command(
@@ -95,10 +94,10 @@ def command(
     out: Path | None,
     markdown: Path | None,
 ) -> int:
-    """Put problems with exact answers to our FMU and to other simulators.
+    """Compare our FMU and other simulators with exact answers of contact problems.
 
-    Thirteen phenomena, from a rebound to stick-slip, each at four steps: error, order, energy and
-    time. docs/engines.md says what each engine is told.
+    The phenomena, from a rebound to stick-slip, are simulated at four steps: error, order, energy
+    and time. docs/engines.md describes the input of each engine.
     """
     asked = named_engines(engines) if engines else engine_names()
     found = measure(

@@ -1,4 +1,4 @@
-"""docs/replay.md is true: its snippets write plans that replay reads, its map fits the foreign FMU."""
+"""docs/replay.md: its snippets write plans that replay reads, its map fits the foreign FMU."""
 
 import importlib.util
 import re
@@ -11,9 +11,10 @@ from foreign_fmu import build_foreign
 from validate.judge.judgement import wire_fmu
 from validate.judge.replay.run import replay_foreign
 
-TEXT = (Path(__file__).parents[4] / "docs" / "replay.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[4] / "docs"
+TEXT = (DOCS / "replay.md").read_text(encoding="utf-8")
 PLANS = dict(re.findall(r"<!-- plan: (\w+) -->\n```python\n(.*?)```", TEXT, flags=re.DOTALL))
-MAP = re.findall(r"<!-- map -->\n```toml\n(.*?)```", TEXT, flags=re.DOTALL)[0]
+MAP = (DOCS / "replay" / "map.toml").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
