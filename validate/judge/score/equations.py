@@ -75,15 +75,6 @@ def largest_difference(one: np.ndarray, other: np.ndarray) -> tuple[float, int]:
     return float(worst[node]), node
 
 
-def excess_impulse(lam: np.ndarray, other: np.ndarray, h: np.ndarray) -> float:
-    """Return the impulse of one force without the other, sum of h max(lam - other, 0) [N s].
-
-    Ghost impulse: the plan's over the largest of `force_window`; missed impulse: its least over the
-    plan's. lam, other: (steps, nc) [N]; h: (steps,) [s]. Raises ValueError.
-    """
-    return float((h[:, None] * np.maximum(lam - other, 0.0)).sum())
-
-
 def friction_dissipation_error(
     friction: np.ndarray, least: np.ndarray, most: np.ndarray, slip: np.ndarray
 ) -> np.ndarray:

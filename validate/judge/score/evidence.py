@@ -17,8 +17,8 @@ from models.codegen.kernel import Kernel, load_kernel
 from models.dynamics import derive
 from models.scene import Scene
 from models.scene.contacts import DampingLaw
-from models.scene.default_limits import impulse_yardstick
 from models.scene.goal import goal_state
+from models.scene.impulses import common_impulse, force_window, impulse_yardstick
 from models.scene.typical_force import typical_force
 from models.schemes import Scheme
 from models.trajectory import Trajectory
@@ -26,12 +26,7 @@ from validate.judge.printed import columns_rounding
 from validate.judge.replay.result import Difference, Replay, ReplayOutcome
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.wiring import HeldInputs
-from validate.judge.score.forces import (
-    by_convention,
-    force_window,
-    least_slip,
-    within_steps,
-)
+from validate.judge.score.forces import by_convention, least_slip, within_steps
 from validate.judge.score.verdict import LeavesBounds, Unmeasured
 
 # Gauss-Legendre points and weights on (0, 1), exact for squares of cubics.
@@ -199,13 +194,6 @@ class Evidence:
         return float((self.h[:, None] * np.abs(self.lam)).sum())
 
     @cached_property
-    def law(self) -> np.ndarray:
-        """Return the true contact forces (nodes, nc) [N]. Raises Unmeasured."""
-        return self.kernel.contact_force(
-            self.q, v=self.trajectory.v if self.equations.damped else None
-        )
-
-    @cached_property
     def typical_force(self) -> float:
         """Return the scale of contact forces [N], of an FMU the map's. Raises Unmeasured."""
         if isinstance(self.scene, Scene):
@@ -281,7 +269,7 @@ class Evidence:
             replayed = ((lam[:-1] + lam[1:]) / 2.0 * self.duration[:, None]).sum()
             return max(self.planned_impulse, float(replayed))
         try:
-            common = float(self.h @ np.minimum(np.abs(self.lam), self.force_window[1]).sum(axis=1))
+            common = common_impulse(self.lam, self.force_window[1], self.h)
         except Unmeasured:
             common = 0.0
         return impulse_yardstick(common, force, self.trajectory.duration)

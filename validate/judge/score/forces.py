@@ -46,33 +46,6 @@ def by_convention(points: np.ndarray, replayed: np.ndarray | None) -> dict[str, 
     return forces if replayed is None else {**forces, "mean of the replay": replayed}
 
 
-def force_window(
-    lam: np.ndarray, step_of: np.ndarray, steps: int, mean: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return least and largest forces of a replay, (steps, nc) [N], one step before to one after.
-
-    A planned force has any convention, and a contact may be a step early or late. Raises ValueError
-    if a step has no row, or the shapes do not fit.
-
-    - lam: (n, nc) [N].
-    - step_of: (n-1,) the plan's step of each piece.
-    - mean: (steps, nc), if known.
-    """
-    first = np.searchsorted(step_of, np.arange(steps))
-    last = np.searchsorted(step_of, np.arange(steps), side="right")
-    rows = [slice(i, j + 1) for i, j in zip(first, last, strict=True)]
-    shape = steps, lam.shape[1]
-    least = np.array([lam[of].min(axis=0) for of in rows]).reshape(shape)
-    largest = np.array([lam[of].max(axis=0) for of in rows]).reshape(shape)
-    if mean is not None:
-        least, largest = np.minimum(least, mean), np.maximum(largest, mean)
-    before, after = [0, *range(steps - 1)], [*range(1, steps), steps - 1]
-    return (
-        np.minimum(np.minimum(least[before], least), least[after]),
-        np.maximum(np.maximum(largest[before], largest), largest[after]),
-    )
-
-
 def least_slip(slips: np.ndarray) -> np.ndarray:
     """Return the slip (steps, nf) [m/s] of least magnitude of each step, 0 where it reverses.
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from models.dynamics import derive
 from models.scene import Scene
-from models.scene.default_limits import REPLAY_ERROR
+from models.scene.default_limits import replay_limits
 from models.scene.goal import distance
+from models.scene.impulses import excess_impulse, force_window
 from models.schemes import Scheme
 from models.trajectory import WINDOWS, Hold
 from validate.judge.replay.result import Difference, Event
@@ -20,7 +21,6 @@ from validate.judge.replay.subject import Subject
 from validate.judge.score import equations as eq
 from validate.judge.score.depths import deepest
 from validate.judge.score.evidence import Evidence
-from validate.judge.score.forces import force_window
 from validate.judge.score.verdict import Contradicted, LeavesBounds, Unmeasured
 
 DEFECT = 1e-6
@@ -370,14 +370,6 @@ def halved(case: Evidence, near: float) -> Iterator[float]:
         before = q
 
 
-def replay_limits(scene: Subject) -> np.ndarray:
-    """Return the limits of replay_error, (nq,) [m or rad]. Raises nothing."""
-    scene_limit, nominals = scene.limit("replay_error"), _nominals(scene)
-    if scene_limit is None or scene_limit.value is None:
-        return REPLAY_ERROR * nominals
-    return np.full(scene.nq, scene_limit.value)
-
-
 def max_penetration(case: Evidence) -> Measured:
     """Return the deepest penetration of each contact in the replay [m]."""
     depths = np.array([np.inf if depth is None else depth for depth in case.scene.depths])
@@ -423,7 +415,7 @@ def _check_gaps(case: Evidence) -> None:
 def ghost_impulse(case: Evidence) -> Measured:
     """Return the planned contact impulse without the replay's within a step [N s]."""
     return _of_impulses(
-        case, lambda of: of.force_window[1], lambda most: eq.excess_impulse(case.lam, most, case.h)
+        case, lambda of: of.force_window[1], lambda most: excess_impulse(case.lam, most, case.h)
     )
 
 
@@ -432,7 +424,7 @@ def missed_impulse(case: Evidence) -> Measured:
     return _of_impulses(
         case,
         lambda of: of.force_window[0],
-        lambda least: eq.excess_impulse(least, case.lam, case.h),
+        lambda least: excess_impulse(least, case.lam, case.h),
     )
 
 

@@ -11,52 +11,7 @@ from models.scene.goal import distance
 from validate.judge.replay.result import Difference, Event
 from validate.judge.score import equations as eq
 from validate.judge.score import measures
-from validate.judge.score.forces import force_window
 from validate.judge.score.verdict import Unmeasured
-
-
-def window(lam: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of a replay of one row a node."""
-    return force_window(lam, np.arange(steps), steps)
-
-
-def test_a_window_reaches_one_step_to_either_side():
-    lam = np.array([0.0, 0.0, 0.0, 8.0, 0.0, 0.0, 0.0, 0.0])[:, None]
-    least, largest = window(lam, 7)
-    assert not least.any()
-    assert largest[:, 0].tolist() == [
-        0.0,
-        8.0,
-        8.0,
-        8.0,
-        8.0,
-        0.0,
-        0.0,
-    ]  # the node ends step 2 and begins step 3
-
-
-def test_a_contact_that_closes_a_step_sooner_is_neither_ghost_nor_missed():
-    h, replayed = np.full(10, 0.1), np.repeat([0.0, 6.0], [5, 6])[:, None]
-    least, largest = window(replayed, 10)
-    for shift in (-1, 0, 1):
-        planned = np.repeat([0.0, 6.0], [5 + shift, 5 - shift])[:, None]
-        assert eq.excess_impulse(planned, largest, h) == 0.0
-        assert eq.excess_impulse(least, planned, h) == 0.0
-    sooner = np.repeat([0.0, 6.0], [2, 8])[:, None]
-    assert eq.excess_impulse(sooner, largest, h) == pytest.approx(
-        0.1 * 6.0
-    )  # step 2; step 3 reaches the force at the end of step 4
-    later = np.repeat([0.0, 6.0], [9, 1])[:, None]
-    assert eq.excess_impulse(least, later, h) == pytest.approx(0.1 * 6.0 * 3)
-
-
-@pytest.mark.parametrize("replayed", [0.0, 3.0, 6.0])
-def test_alternating_forces_are_not_excused(replayed: float):
-    """A plan of 0 and 6 N by turns, where the replay has a steady force: no window of steps makes the one the other."""
-    h, planned = np.full(10, 0.1), np.tile([6.0, 0.0], 5)[:, None]
-    least, largest = window(np.full((11, 1), replayed), 10)
-    assert eq.excess_impulse(planned, largest, h) == pytest.approx(0.1 * 5 * (6.0 - replayed))
-    assert eq.excess_impulse(least, planned, h) == pytest.approx(0.1 * 5 * replayed)
 
 
 def test_rate_misfit_smooth_motion_next_to_nothing_and_alternating_all():

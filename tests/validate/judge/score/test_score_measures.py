@@ -161,10 +161,11 @@ def test_the_order_of_a_grid_is_that_of_its_last_halving():
         assert refined([1.0, *[idle, 1.0] * 4][:8])[1] == parts
     with pytest.raises(Unmeasured, match="far below the limit"):
         refined([0.1])
-    for options in ({"limit": None}, {"waived": True}):  # a hundredth of the smaller nominal
-        assert refined([0.00126, 0.00063], **options) == (pytest.approx(1.0), [2])
+    # A hundredth of the smaller nominal.
+    assert refined([0.00126, 0.00063], limit=None) == (pytest.approx(1.0), [2])
+    for waived, error in ((False, 0.00125), (True, 100.0)):
         with pytest.raises(Unmeasured):
-            refined([0.00125], **options)
+            refined([error], limit=None, waived=waived)
 
 
 @pytest.mark.parametrize("applied", [None, np.array([[7.0], [8.0]])])
