@@ -56,7 +56,7 @@ _OF_CHECKS = (
 # Sources of surveys, which decide no run.
 _OF_SURVEYS = "validate/judge/robustness/"
 # Sources of reports that decide the content of a record.
-_RECORDS = ("records/record", "records/names", "records/check_record", "paper")
+_RECORDS = ("records/record", "names", "records/check_record", "paper")
 # A task depends on its own files of these folders only.
 _ONE_BY_ONE = ("models/scenes", "formulations/methods")
 
