@@ -10,10 +10,9 @@ The score uses the plan and its replay, not the method.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -23,11 +22,13 @@ from models.scene import Scene
 from models.trajectory import Hold, Trajectory
 from validate.judge.replay.result import Replay
 from validate.judge.replay.subject import Subject
-from validate.judge.score.cause import ScoredPlan, cause_of, explain
+from validate.judge.score.cause import ScoredPlan
 from validate.judge.score.evidence import Evidence
-from validate.judge.score.measures import MEASURES, halved, is_relaxed, times_the_law
-from validate.judge.score.table import FEEDBACK, FOLLOWED, GROWTH, TABLE, Measured, MetricEntry
+from validate.judge.score.measures import MEASURES
+from validate.judge.score.sentence import explain
+from validate.judge.score.table import EXPLAINING, FEEDBACK, FOLLOWED, TABLE, Measured, MetricEntry
 from validate.judge.score.verdict import (
+    Answer,
     Contradicted,
     LeavesBounds,
     Metric,
@@ -60,16 +61,13 @@ _NEEDS = {
     "no scheme": "the plan declares a scheme, whose own equations are asked instead",
 }
 
-_NAMES = tuple(entry.name for entry in (*TABLE, *GROWTH, *FOLLOWED))
+_NAMES = tuple(entry.name for entry in (*TABLE, *FOLLOWED, *EXPLAINING))
 
-# Advice for a limit on a metric that is only shown.
-_INSTEAD = {
-    name: f"limit {name.removesuffix('error')}position_error and {name.removesuffix('error')}velocity_error, each with its reason."
-    for name in ("terminal_error", "replay_terminal_error", "discrete_terminal_error")
-} | {
-    "physics": "limit physics_scaled.",
-    "cost": "limit replay_cost, the cost of the true motion.",
-    "grid_error": "limit replay_error, which it explains.",
+# Metrics that are shown, not judged, and what may be limited instead.
+_SHOWN = {entry.name: "" for entry in (*TABLE, *EXPLAINING) if entry.question is Question.SHOWN} | {
+    "physics": "physics_scaled",
+    "cost": "replay_cost, the cost of the true motion",
+    "grid_error": "replay_error, which it explains",
 }
 
 
@@ -88,26 +86,18 @@ def check_limits(scene: Subject, file: Path | None = None) -> None:
             raise SceneError(
                 f"{where}: answer {answer.quantity!r} is measured by {answer.measure!r}, but the measures are {', '.join(MEASURES)}."
             )
-    for limit in scene.limits:
-        shown = next(
-            (
-                entry
-                for entry in TABLE
-                if entry.name == limit.metric and entry.question is Question.SHOWN
-            ),
-            None,
-        )
-        if shown is not None:
-            raise SceneError(
-                f"{where}: there is a limit on {limit.metric}, which is shown, not judged; {_INSTEAD.get(limit.metric, 'leave it out.')}"
-            )
-        if limit.metric not in metric_names():
-            hint = did_you_mean(
-                limit.metric, metric_names(), f"the metrics are {', '.join(metric_names())}."
-            )
-            raise SceneError(
-                f"{where}: there is a limit on {limit.metric!r}, which is no metric; {hint}"
-            )
+    for name in (limit.metric for limit in scene.limits):
+        there = f"{where}: there is a limit on {name}"
+        if name in _SHOWN:
+            part = name.removesuffix("error")
+            other = _SHOWN[name]
+            if name.endswith("terminal_error"):
+                other = f"{part}position_error and {part}velocity_error, each with its reason"
+            advice = f"limit {other}." if other else "leave it out."
+            raise SceneError(f"{there}, which is shown, not judged; {advice}")
+        if name not in (names := metric_names()):
+            hint = did_you_mean(name, names, f"the metrics are {', '.join(names)}.")
+            raise SceneError(f"{there}, which is no metric; {hint}")
 
 
 def score(
@@ -129,52 +119,46 @@ def score(
     trajectory.check_fits(scene)  # type: ignore[arg-type] - a foreign model answers what a scene answers
     if replay is not None:
         _check_belongs(scene, trajectory, replay)
-    effort = replay.tracked.effort if replay is not None and replay.tracked is not None else None
-    growth = replay.growth if replay is not None else None
-    known = (
-        *TABLE,
-        *(GROWTH if growth is not None else ()),
-        *(FOLLOWED if effort is not None else ()),
-    )
+    followed = bool(replay and replay.tracked and replay.tracked.effort)
+    known = (*TABLE, *(FOLLOWED if followed else ()))
     rows = [entry for entry in known if entry.applies(scene)]
-    scored, judged = _scored(scene, trajectory, replay, rows, followed=effort is not None)
-    metrics = tuple(scored.metrics.values())
-    verdict = _of_what_is_asked(scene, trajectory, scored.verdict, metrics)
+    case = Evidence(scene, trajectory, replay)
+    metrics = {entry.name: _metric(entry, case) for entry in rows}
+    verdict, answers, judged = decide(tuple(metrics.values()), followed)
+    verdict = _of_what_is_asked(scene, trajectory, verdict, tuple(metrics.values()))
+    not_asked = _not_asked(scene, rows, tuple(metrics.values()))
+    if verdict in (Verdict.VIOLATES, Verdict.HOLDS_WITH_FEEDBACK):
+        explaining = [entry for entry in EXPLAINING if entry.applies(scene)]
+        metrics |= {entry.name: _metric(entry, case) for entry in explaining}
     waived = tuple(
         f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None
     )
-    held = Hold.LINEAR if trajectory.hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER
-    by_hold = (
-        other_hold is not None
-        and other_hold.ok
-        and score(scene, replace(trajectory, hold=held), other_hold).verdict is Verdict.HOLDS
-    )
-    scored = replace(scored, verdict=verdict, waived=waived, other_hold=by_hold)
+    scored = ScoredPlan(
+        case=case, metrics=metrics, verdict=verdict, questions=answers, waived=waived,
+        holds_as=_holds_as(case, verdict, answers, other_hold),
+    )  # fmt: skip
+    why, cause = explain(scored)
     return Score(
-        metrics=metrics, verdict=verdict, why=explain(scored), cause=cause_of(scored),
+        metrics=tuple(metrics.values()), verdict=verdict, why=why,
+        cause=cause.code if cause else "", cause_fields=cause.fields if cause else {},
         judged=judged, waived=waived,
-        questions=tuple(scored.questions.items()), not_asked=_not_asked(scene, rows, metrics),
-        names=_NAMES,
+        questions=tuple(answers.items()), not_asked=not_asked, names=_NAMES,
     )  # fmt: skip
 
 
-def _scored(
-    scene: Subject,
-    plan: Trajectory,
-    replay: Replay | None,
-    rows: list[MetricEntry],
-    *,
-    followed: bool,
-) -> tuple[ScoredPlan, Literal["open", "feedback"]]:
-    case = Evidence(scene, plan, replay)
-    metrics = {entry.name: _metric(entry, case) for entry in rows}
-    verdict, answers, judged = decide(tuple(metrics.values()), followed)
-    return ScoredPlan(
-        scene=scene, trajectory=plan, replay=replay, metrics=metrics, verdict=verdict,
-        questions=answers,
-        halved=partial(halved, case), times_the_law=partial(times_the_law, case),
-        is_relaxed=partial(is_relaxed, case),
-    ), judged  # fmt: skip
+def _holds_as(
+    case: Evidence, verdict: Verdict, answers: Mapping[Question, Answer], other_hold: Replay | None
+) -> str:
+    """Return another declaration with which the plan holds, or ""."""
+    plan, replay, declared = case.trajectory, case.replayed, ""
+    if other_hold is not None and other_hold.ok:
+        hold = Hold.LINEAR if plan.hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER
+        declared = f"`# hold: {'linear' if hold is Hold.LINEAR else 'zero'}`"
+        plan, replay = replace(plan, hold=hold), other_hold
+    elif verdict is Verdict.VIOLATES and plan.scheme and answers[Question.MOTION] == "yes":
+        plan, declared = replace(plan, scheme=None), "no `# scheme:`"
+    holds = declared and score(case.scene, plan, replay).verdict is Verdict.HOLDS
+    return declared if holds else ""
 
 
 # Metrics that a plan must satisfy to hold: goal and cost.

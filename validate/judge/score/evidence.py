@@ -17,6 +17,7 @@ from models.codegen.kernel import Kernel, load_kernel
 from models.dynamics import derive
 from models.scene import Scene
 from models.scene.contacts import DampingLaw
+from models.scene.default_limits import replay_limits
 from models.scene.goal import goal_state
 from models.scene.impulses import common_impulse, force_window, impulse_yardstick
 from models.scene.typical_force import typical_force
@@ -34,12 +35,16 @@ _POINTS, _WEIGHTS = (
     part / 2.0 + shift for part, shift in zip(leggauss(4), (0.5, 0.0), strict=True)
 )
 
+_HALVINGS = 7
+# A halving with a relative change below this is idle; after two the rest is not the grid's error.
+_IDLE = 0.01
+
 
 class Evidence:
     """Arrays by the symbols of the equations, each computed once."""
 
     def __init__(self, scene: Subject, trajectory: Trajectory, replay: Replay | None) -> None:
-        self.scene, self.trajectory, self._replay = scene, trajectory, replay
+        self.scene, self.trajectory, self.replayed = scene, trajectory, replay
         # Motions by parts of a step; collocation takes 7 s, and several metrics need the same motion.
         self._own_motions: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
@@ -227,9 +232,9 @@ class Evidence:
 
     @property
     def _replayed_means(self) -> np.ndarray | None:
-        if self._replay is None or not self._replay.ok or self._replay.contact_impulse is None:
+        if self.replayed is None or not self.replayed.ok or self.replayed.contact_impulse is None:
             return None
-        impulses = np.diff(self._replay.contact_impulse[self._replay.knots], axis=0)
+        impulses = np.diff(self.replayed.contact_impulse[self.replayed.knots], axis=0)
         return impulses / np.diff(self.trajectory.t)[:, None]
 
     @cached_property
@@ -496,18 +501,32 @@ class Evidence:
             parts, (q[::parts].copy(), v[::parts].copy())
         )  # a view would keep all parts
 
-    @property
-    def true_end(self) -> np.ndarray:
-        """Return the end of `true_motion` (2*nq,) [m or rad, per s]. Raises Unmeasured."""
-        q, v = self.true_motion
-        return np.concatenate([q[-1], v[-1]])
+    @cached_property
+    def grid_errors(self) -> list[float]:
+        """Return the discretisation errors [m or rad] of the plan's grid and its halvings.
+
+        The inputs are held. The list ends at a quarter of the limit on replay_error, after two idle
+        halvings, or seven. Raises Unmeasured.
+        """
+        near, errors, idle = float(replay_limits(self.scene).min()) / 4.0, [], 0
+        before = None
+        for halvings in range(_HALVINGS + 1):
+            q = self.own_motion(2**halvings)[0]
+            errors.append(float(np.abs(q - self.replay_q).max()))
+            if before is not None:
+                is_idle = np.abs(q - before).max() < _IDLE * (errors[-1] - near)
+                idle = idle + 1 if is_idle else 0
+            if errors[-1] <= near or idle == 2:
+                break
+            before = q
+        return errors
 
     @property
     def opened(self) -> Replay:
         """Return the open replay, even if it failed."""
-        if self._replay is None:
+        if self.replayed is None:
             raise Unmeasured("the plan was not replayed.")
-        return self._replay
+        return self.replayed
 
     @cached_property
     def tracked(self) -> Evidence:
@@ -531,7 +550,7 @@ class Evidence:
     @property
     def touches_nothing(self) -> bool:
         """Return whether the finished replay has gaps, and none closes."""
-        replay = self._replay
+        replay = self.replayed
         return (
             replay is not None
             and replay.ok
@@ -554,27 +573,10 @@ class Evidence:
         return self.replay.q[self.replay.knots]
 
     @property
-    def end(self) -> np.ndarray:
-        """Return the plan's end (2*nq,) [m or rad, per s]. Raises Unmeasured.
-
-        Velocities are zero if the goal has none.
-        """
-        wants_v = np.isfinite(self.goal[self.scene.nq :]).any()
-        return np.concatenate([self.q[-1], self.v[-1] if wants_v else np.zeros(self.scene.nq)])
-
-    @property
     def replay_v(self) -> np.ndarray:
         """Return the replay's velocities (n, nq) [m/s or rad/s]. Raises Unmeasured."""
         self.need("v")
         return self.replay.v
-
-    @property
-    def replay_end(self) -> np.ndarray:
-        """Return the replay's end (2*nq,) [m or rad, per s]. Raises Unmeasured."""
-        self.need("q")
-        if np.isfinite(self.goal[self.scene.nq :]).any():
-            self.need("v")
-        return self.replay.end
 
     @property
     def replay_gap(self) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -11,7 +11,6 @@ import numpy as np
 
 from models.dynamics import derive
 from models.scene import Scene
-from models.scene.default_limits import replay_limits
 from models.scene.goal import distance
 from models.scene.impulses import excess_impulse, force_window
 from models.schemes import Scheme
@@ -24,9 +23,11 @@ from validate.judge.score.evidence import Evidence
 from validate.judge.score.verdict import Contradicted, LeavesBounds, Unmeasured
 
 DEFECT = 1e-6
-_HALVINGS = 7
-# A halving with a relative change below this is idle; after two the rest is not the grid's error.
-IDLE = 0.01
+# Lowest order of an error that vanishes with the step: halfway between one that stays (0) and the
+# lowest order of a right step (1).
+LEAST_ORDER = 0.5
+# Largest order that is reported, of an error that vanishes at once.
+_LARGEST_ORDER = 7.0
 # Relative size below which a force or gap is zero.
 _CLEARLY = 1e-2
 # Largest unexplained share of forces that are a multiple of the law's.
@@ -126,26 +127,42 @@ def _ranges(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(width), width, np.where(one > 0.0, one, 1.0))
 
 
-def terminal_error(case: Evidence) -> float:
-    """Return the distance of the plan's end from the goal."""
-    return distance(case.end, case.goal)
-
-
-def terminal_position_error(case: Evidence) -> Measured:
-    """Return the distance of the plan's last positions from the goal."""
-    nq = case.scene.nq
-    return Measured(
-        values=distance(case.q[-1], case.goal[:nq]),
-        allowed=float(np.linalg.norm(case.rounding["q"][-1])),
+def rows_of(part: str) -> Callable[[int], slice]:
+    """Return the rows of a state, by its number of positions; part: "position", "velocity", ""."""
+    return {"position": lambda nq: slice(nq), "velocity": lambda nq: slice(nq, None)}.get(
+        part, lambda nq: slice(None)
     )
 
 
-def terminal_velocity_error(case: Evidence) -> Measured:
-    """Return the distance of the plan's last velocities from the goal."""
-    nq = case.scene.nq
+# Last positions and velocities (nq,) [m or rad, per s] by the prefix of the metrics.
+_ENDS: dict[str, tuple[Callable[[Evidence], np.ndarray], Callable[[Evidence], np.ndarray]]] = {
+    "": (lambda case: case.q[-1], lambda case: case.v[-1]),
+    "replay_": (lambda case: case.replay_q[-1], lambda case: case.replay_v[-1]),
+    "discrete_": (lambda case: case.true_motion[0][-1], lambda case: case.true_motion[1][-1]),
+}
+
+
+def end_error(case: Evidence, of: str, part: str) -> Measured:
+    """Return the distance of an end from the goal; of: prefix; part: as `rows_of`."""
+    goals = np.split(case.goal, 2)
+    parts = [index for index, name in enumerate(("position", "velocity")) if part in (name, "")]
+    parts = [index for index in parts if np.isfinite(goals[index]).any()]
+    values = np.linalg.norm([distance(_ENDS[of][index](case), goals[index]) for index in parts])
+    if of == "replay_":
+        # A norm over positions differs at most by the norm of their errors.
+        error = case.error.position * float(np.sqrt(case.scene.nq))
+        error = min(case.error.state, error) if parts == [0] else case.error.state
+        return Measured(values=float(values), error=error)
+    if not part:
+        return Measured(values=float(values))
+    if of == "":
+        rounding = case.rounding["q" if part == "position" else "v"][-1]
+        return Measured(values=float(values), allowed=float(np.linalg.norm(rounding)))
+    own = case.scene.limit(f"terminal_{part}_error")
     return Measured(
-        values=distance(case.v[-1], case.goal[nq:]),
-        allowed=float(np.linalg.norm(case.rounding["v"][-1])),
+        values=float(values),
+        scales=_explained(case),
+        allowed=0.0 if own is None or own.value is None else own.value,
     )
 
 
@@ -298,23 +315,6 @@ def replay_error(case: Evidence) -> Measured:
     )
 
 
-def replay_terminal_error(case: Evidence) -> tuple[float, float]:
-    """Return the distance of the replay's end from the goal, and its error."""
-    return distance(case.replay_end, case.goal), case.error.state
-
-
-def replay_terminal_position_error(case: Evidence) -> tuple[float, float]:
-    """Return the distance of the replay's last positions from the goal, and its error."""
-    # A norm over positions differs at most by the norm of their errors.
-    error = min(case.error.state, case.error.position * float(np.sqrt(case.scene.nq)))
-    return distance(case.replay_q[-1], case.goal[: case.scene.nq]), error
-
-
-def replay_terminal_velocity_error(case: Evidence) -> tuple[float, float]:
-    """Return the distance of the replay's last velocities from the goal, and its error."""
-    return distance(case.replay_v[-1], case.goal[case.scene.nq :]), case.error.state
-
-
 def replay_cost(case: Evidence) -> tuple[float, float]:
     """Return the task's cost of the replay, and its error."""
     replay, error = case.replay, case.error.state
@@ -330,44 +330,17 @@ def replay_cost(case: Evidence) -> tuple[float, float]:
     return value, max(abs(one - value) for one in around)
 
 
-def replay_error_time(case: Evidence) -> float:
-    """Return the time of the largest difference of plan and replay [s]."""
-    return float(case.trajectory.t[eq.largest_difference(case.q, case.replay_q)[1]])
-
-
 def grid_error(case: Evidence) -> tuple[float, float]:
     """Return the discretisation error [m or rad] of the plan's grid, and its own error."""
-    return eq.largest_difference(case.true_motion[0], case.replay_q)[0], case.error.position
+    return case.grid_errors[0], case.error.position
 
 
 def grid_order(case: Evidence) -> float:
-    """Return the log2 of the error's reduction by the last halving of `halved`."""
-    error, near = grid_error(case)[0], float(replay_limits(case.scene).min()) / 4.0
-    if error <= near:
-        raise Unmeasured(
-            "the discretisation error is far below the limit on replay_error, so that nothing need be known of its order."
-        )
-    order = 0.0
-    for finer in halved(case, near):
-        order = float(np.log2(error / finer)) if finer > 0.0 else np.inf
-        error = finer
-    return min(order, _HALVINGS)
-
-
-def halved(case: Evidence, near: float) -> Iterator[float]:
-    """Yield the grid error [m or rad] with the plan's step halved repeatedly, with held inputs.
-
-    Ends at `near`, after two idle halvings, or seven. Raises Unmeasured.
-    """
-    before, idle = case.true_motion[0], 0
-    for halvings in range(1, _HALVINGS + 1):
-        q = case.own_motion(2**halvings)[0]
-        error, _ = eq.largest_difference(q, case.replay_q)
-        yield error
-        idle = idle + 1 if eq.largest_difference(q, before)[0] < IDLE * (error - near) else 0
-        if error <= near or idle == 2:
-            return
-        before = q
+    """Return the order with which the last halving of the step reduces the discretisation error."""
+    if len(case.grid_errors) == 1:
+        raise Unmeasured("the discretisation error is far below the limit on replay_error.")
+    coarse, fine = case.grid_errors[-2:]
+    return min(float(np.log2(coarse / fine)), _LARGEST_ORDER) if fine > 0.0 else _LARGEST_ORDER
 
 
 def max_penetration(case: Evidence) -> Measured:
@@ -517,43 +490,22 @@ def law_error(case: Evidence) -> Measured:
     )
 
 
-def discrete_terminal_error(case: Evidence) -> float:
-    """Return the distance from the goal of the plan's scheme under true contact."""
-    return distance(case.true_end, case.goal)
-
-
-def discrete_terminal(case: Evidence, part: str) -> Measured:
-    """Return `discrete_terminal_error` of "position" or "velocity", beyond the plan's own limit."""
-    scene_limit, nq = case.scene.limit(f"terminal_{part}_error"), case.scene.nq
-    rows = slice(nq) if part == "position" else slice(nq, None)
-    allowed = 0.0 if scene_limit is None or scene_limit.value is None else scene_limit.value
-    return Measured(
-        values=distance(case.true_end[rows], case.goal[rows]),
-        scales=_explained(case),
-        allowed=allowed,
-    )
-
-
-def _work(case: Evidence) -> tuple[np.ndarray, np.ndarray]:
-    if case.replay.input_work is None or case.replay.dissipated_work is None:
-        raise Unmeasured("the FMU has no outputs input_power and dissipated_power.")
-    return case.replay.input_work, case.replay.dissipated_work
-
-
-def energy_residual(case: Evidence) -> float:
-    """Return the largest error of the replay's energy balance [J]."""
-    return eq.energy_residual(case.replay.energy, *_work(case))
-
-
 def energy_residual_relative(case: Evidence) -> float:
-    """Return the energy error relative to the energy turned over [-]."""
-    replay, work = case.replay, _work(case)
+    """Return the largest error of the replay's energy balance, of the energy turned over [-]."""
+    replay = case.replay
+    if replay.input_work is None or replay.dissipated_work is None:
+        raise Unmeasured("the FMU has no outputs input_power and dissipated_power.")
+    off = eq.energy_residual(replay.energy, replay.input_work, replay.dissipated_work)
     turned = eq.energy_turnover(
-        replay.kinetic_energy, replay.potential_energy, replay.contact_energy, *work
+        replay.kinetic_energy,
+        replay.potential_energy,
+        replay.contact_energy,
+        replay.input_work,
+        replay.dissipated_work,
     )
     speeds = _nominals(case.scene)[None, :]
     typical = float(case.kernel.energy(replay.q[:1], speeds)[0][0])
-    return energy_residual(case) / max(turned, _AT_REST * typical)
+    return off / max(turned, _AT_REST * typical)
 
 
 def friction_impulse_error(case: Evidence) -> Measured:

@@ -7,14 +7,14 @@ feedback's effort is limited too, because large corrections make another plan.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from models.scene import Scene
 from models.scene.default_limits import FEEDBACK_EFFORT, FEEDBACK_SHARE, IMPULSE, REPLAY_ERROR
-from validate.judge.replay.result import Growth
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.wiring import Effort
 from validate.judge.score import measures
@@ -97,32 +97,47 @@ def _is_scene(scene: Subject) -> bool:
     return isinstance(scene, Scene)
 
 
-def _has_goal(scene: Subject) -> bool:
-    return scene.task.has_goal
+_QUOTED = {
+    "position": "{} from the goal",
+    "velocity": "with {} more or less than the goal's velocity",
+}
 
 
-def _goal_positions(scene: Subject) -> tuple[str, ...]:
-    return tuple(
-        unit
-        for unit, value in zip(_positions(scene), scene.task.goal[: scene.nq], strict=True)
-        if value is not None
-    )
+def _ends(
+    of: str,
+    question: Question,
+    where: str,
+    subject: str,
+    needs: tuple[tuple[str, ...], ...] = ((), (), ()),
+    default: tuple[float, str] | None = None,
+) -> Iterator[MetricEntry]:
+    """Yield the distances of an end from the goal: of positions, of velocities, of both (shown).
 
+    of: prefix of the names; where, subject: of meanings and phrases; needs: of the three.
+    """
+    for part, groups in zip(("position", "velocity", ""), needs, strict=True):
+        rows = measures.rows_of(part)
 
-def _goal_velocities(scene: Subject) -> tuple[str, ...]:
-    return tuple(
-        unit
-        for unit, value in zip(_velocities(scene), scene.task.goal[scene.nq :], strict=True)
-        if value is not None
-    )
+        def units(scene: Subject, rows: Callable[[int], slice] = rows) -> tuple[str, ...]:
+            chosen, goal = rows(scene.nq), scene.task.goal
+            pairs = zip(_states(scene)[chosen], goal[chosen], strict=True)
+            return tuple(unit for unit, value in pairs if value is not None)
 
-
-def _has_goal_position(scene: Subject) -> bool:
-    return any(value is not None for value in scene.task.goal[: scene.nq])
-
-
-def _has_goal_velocity(scene: Subject) -> bool:
-    return any(value is not None for value in scene.task.goal[scene.nq :])
+        yield MetricEntry(
+            name=f"{of}terminal_{part}{'_' * bool(part)}error",
+            question=question if part else Question.SHOWN,
+            units=units,
+            measure=partial(measures.end_error, of=of, part=part),
+            applies=lambda scene, units=units: (
+                bool(units(scene)) and (of != "discrete_" or _is_scene(scene))
+            ),
+            needs=groups,
+            default=default if part else None,
+            of_replay=of == "replay_",
+            limit_of="" if of or not part else f"replay_terminal_{part}_error",
+            meaning=f"distance of the {part or 'state'} from the goal {where}",
+            quoted=f"{subject} ends {_QUOTED[part]}" if part else "",
+        )
 
 
 _OF_IMPULSE = (
@@ -180,28 +195,7 @@ TABLE = (
         meaning="by how much the plan's velocities leave their bounds at the start of a step",
         quoted="the plan's velocities leave their bounds by {}",
     ),
-    MetricEntry(
-        name="terminal_position_error",
-        question=Question.GOAL,
-        units=_goal_positions,
-        measure=measures.terminal_position_error,
-        applies=_has_goal_position,
-        needs=("q",),
-        limit_of="replay_terminal_position_error",
-        meaning="norm of q_T - q_f in the plan",
-        quoted="the plan itself ends {} from the goal",
-    ),
-    MetricEntry(
-        name="terminal_velocity_error",
-        question=Question.GOAL,
-        units=_goal_velocities,
-        measure=measures.terminal_velocity_error,
-        applies=_has_goal_velocity,
-        needs=("v",),
-        limit_of="replay_terminal_velocity_error",
-        meaning="norm of v_T - v_f in the plan",
-        quoted="the plan itself ends with {} more or less than the goal's velocity",
-    ),
+    *_ends("", Question.GOAL, "in the plan", "the plan itself", (("q",), ("v",), ("q",))),
     MetricEntry(
         name="velocity_error",
         question=Question.FORCES,
@@ -296,26 +290,7 @@ TABLE = (
         meaning="largest position difference between plan and replay at the plan's nodes",
         quoted="driven by its inputs the motion departs from the plan by {}",
     ),
-    MetricEntry(
-        name="replay_terminal_position_error",
-        question=Question.MOTION,
-        units=_goal_positions,
-        measure=measures.replay_terminal_position_error,
-        applies=_has_goal_position,
-        of_replay=True,
-        meaning="norm of q_T - q_f in the replay",
-        quoted="driven by its inputs the motion ends {} from the goal",
-    ),
-    MetricEntry(
-        name="replay_terminal_velocity_error",
-        question=Question.MOTION,
-        units=_goal_velocities,
-        measure=measures.replay_terminal_velocity_error,
-        applies=_has_goal_velocity,
-        of_replay=True,
-        meaning="norm of v_T - v_f in the replay",
-        quoted="driven by its inputs the motion ends with {} more or less than the goal's velocity",
-    ),
+    *_ends("replay_", Question.MOTION, "in the replay", "driven by its inputs the motion"),
     MetricEntry(
         name="replay_cost",
         question=Question.MOTION,
@@ -414,33 +389,13 @@ TABLE = (
         meaning="largest position difference between the plan and its inputs under the true law on the same grid: the contact law's share of replay_error",
         quoted="with exact contact on its own grid the motion departs from the plan by {}",
     ),
-    MetricEntry(
-        name="discrete_terminal_position_error",
-        question=Question.SCHEME,
-        units=_goal_positions,
-        measure=lambda case: measures.discrete_terminal(case, "position"),
-        applies=lambda scene: _is_scene(scene) and _has_goal_position(scene),
-        needs=("q", "v", "scheme"),
-        default=(
-            10.0,
-            "what the plan may miss the goal by, and ten times what a defect of 1e-6 in every step explains",
-        ),
-        meaning="norm of q_T - q_f in the plan's own time step with the true contact law (the paper's stability of gradient descent)",
-        quoted="with exact contact on its own grid the motion ends {} from the goal",
-    ),
-    MetricEntry(
-        name="discrete_terminal_velocity_error",
-        question=Question.SCHEME,
-        units=_goal_velocities,
-        measure=lambda case: measures.discrete_terminal(case, "velocity"),
-        applies=lambda scene: _is_scene(scene) and _has_goal_velocity(scene),
-        needs=("q", "v", "scheme"),
-        default=(
-            10.0,
-            "what the plan may miss the goal by, and ten times what a defect of 1e-6 in every step explains",
-        ),
-        meaning="norm of v_T - v_f in the plan's own time step with the true contact law",
-        quoted="with exact contact on its own grid the motion ends with {} more or less than the goal's velocity",
+    *_ends(
+        "discrete_",
+        Question.SCHEME,
+        "in the plan's own time step with the true contact law",
+        "with exact contact on its own grid the motion",
+        (("q", "v", "scheme"), ("q", "v", "scheme"), ("q", "v")),
+        (10.0, "the plan's own limit, and ten times what a defect of 1e-6 a step explains"),
     ),
     MetricEntry(
         name="answer_error",
@@ -482,41 +437,9 @@ TABLE = (
         needs=("lam", "q"),
         meaning="sum over steps and contacts of |lam (lam - k phi)|, k phi with its damping: the paper's physics",
     ),
-    MetricEntry(
-        name="terminal_error",
-        question=Question.SHOWN,
-        units=_states,
-        measure=measures.terminal_error,
-        applies=_has_goal,
-        needs=("q",),
-        meaning="norm of x_T - x_f in the plan, positions and velocities: the paper's stability",
-    ),
-    MetricEntry(
-        name="discrete_terminal_error",
-        question=Question.SHOWN,
-        units=_states,
-        measure=measures.discrete_terminal_error,
-        applies=lambda scene: _is_scene(scene) and _has_goal(scene),
-        needs=("q", "v"),
-        meaning="norm of x_T - x_f when the plan's inputs run through its own time step with the true contact law",
-    ),
-    MetricEntry(
-        name="replay_terminal_error",
-        question=Question.SHOWN,
-        units=_states,
-        measure=measures.replay_terminal_error,
-        applies=_has_goal,
-        of_replay=True,
-        meaning="norm of x_T - x_f when the plan's inputs drive the true continuous dynamics",
-    ),
-    MetricEntry(
-        name="replay_error_time",
-        question=Question.SHOWN,
-        units=_unit("s"),
-        measure=measures.replay_error_time,
-        needs=("q",),
-        meaning="when plan and replay differ most",
-    ),
+)
+# Metrics that explain a failure; a plan that holds has none.
+EXPLAINING = (
     MetricEntry(
         name="grid_error",
         question=Question.SHOWN,
@@ -524,7 +447,6 @@ TABLE = (
         measure=measures.grid_error,
         applies=_is_scene,
         needs=("q", "v", "scheme"),
-        of_replay=False,
         meaning="largest position difference between the true law on the plan's grid and in continuous time: the discretisation error",
     ),
     MetricEntry(
@@ -535,16 +457,6 @@ TABLE = (
         applies=_is_scene,
         needs=("q", "v", "scheme"),
         meaning="order with which the discretisation error shrinks as the plan's own grid is refined under its inputs",
-    ),
-    MetricEntry(
-        name="energy_residual",
-        question=Question.JUDGE,
-        units=_unit("J"),
-        measure=measures.energy_residual,
-        applies=_is_scene,
-        of_replay=True,
-        meaning="self-check of the replay: work in - dissipated - change of energy, largest over time",
-        quoted="the replay's energy does not balance by {}",
     ),
 )
 
@@ -569,12 +481,6 @@ def _plan_share(case: Evidence) -> float:
     if share is None:
         raise LeavesBounds("the plan's own inputs are zero: all that moves it is the feedback's.")
     return share
-
-
-def _growth(case: Evidence) -> Growth:
-    if case.opened.growth is None:
-        raise Unmeasured("the true contact law leads out of every bound.")
-    return case.opened.growth
 
 
 # Feedback for exact plans on coarse grids (h w = 0.9) needs up to 0.23 through an impact, for
@@ -607,35 +513,5 @@ FEEDBACK = (
         meaning="root mean square of what the feedback added, as a share of that of the plan's own inputs, all inputs in halves of their ranges and averaged over a fiftieth of the plan",
         quoted="the RMS effort of the feedback is {} of what the plan's own inputs do",
     ),
-    MetricEntry(
-        name="feedback_peak",
-        question=Question.SHOWN,
-        units=_unit("1"),
-        measure=lambda case: _effort(case).peak_share,
-        meaning="largest value of what the feedback added, as a share of half the range",
-    ),
-    MetricEntry(
-        name="feedback_saturated",
-        question=Question.SHOWN,
-        units=_unit("1"),
-        measure=lambda case: _effort(case).saturated,
-        meaning="share of the steps in which the feedback stood at a bound",
-    ),
 )
 FOLLOWED = (*(_twin(entry) for entry in TABLE if entry.of_replay), *FEEDBACK)
-GROWTH = (
-    MetricEntry(
-        name="amplification",
-        question=Question.SHOWN,
-        units=_unit("1"),
-        measure=lambda case: _growth(case).amplification,
-        meaning="how many times larger an error of the positions may become along the plan in the open loop (nominals as units)",
-    ),
-    MetricEntry(
-        name="growth_rate",
-        question=Question.SHOWN,
-        units=_unit("1/s"),
-        measure=lambda case: _growth(case).rate,
-        meaning="rate with which amplification = exp(rate T)",
-    ),
-)

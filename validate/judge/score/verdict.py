@@ -10,8 +10,8 @@ is not answered yes, questions 4 and 5 may be answered by the replay with limite
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Literal, TypeAlias
 
@@ -122,8 +122,8 @@ class Score:
     """All metrics of one plan, and the verdict.
 
     - why: deciding sentence with cause and advice.
-    - cause: one word, "" if nothing is wrong: the failing or undecided metric, or `defect`,
-      `relaxed contact`, `unstable`, `coarse grid`, `motion`.
+    - cause: a code of validate.judge.score.cause.CAUSES, else the failing or undecided metric, ""
+      if nothing is wrong; cause_fields: the fields of its sentence.
     - metrics: tracked_<name> and feedback_<..> are those with feedback.
     - judged: replay of the verdict, "open" or "feedback".
     - waived, not_asked: with reasons.
@@ -134,6 +134,7 @@ class Score:
     verdict: Verdict
     why: str
     cause: str = ""
+    cause_fields: Mapping[str, str] = field(default_factory=dict)
     judged: Literal["open", "feedback"] = "open"
     questions: tuple[tuple[Question, Answer], ...] = ()
     waived: tuple[str, ...] = ()
