@@ -73,9 +73,7 @@ _SHOWN = {entry.name: "" for entry in (*TABLE, *EXPLAINING) if entry.question is
 
 def metric_names() -> tuple[str, ...]:
     """Return every metric that a scene may limit, in the order of the table."""
-    return tuple(entry.name for entry in TABLE) + tuple(
-        entry.name for entry in FEEDBACK if entry.default is not None
-    )
+    return tuple(entry.name for entry in (*TABLE, *FEEDBACK))
 
 
 def check_limits(scene: Subject, file: Path | None = None) -> None:
@@ -89,8 +87,7 @@ def check_limits(scene: Subject, file: Path | None = None) -> None:
     for name in (limit.metric for limit in scene.limits):
         there = f"{where}: there is a limit on {name}"
         if name in _SHOWN:
-            part = name.removesuffix("error")
-            other = _SHOWN[name]
+            part, other = name.removesuffix("error"), _SHOWN[name]
             if name.endswith("terminal_error"):
                 other = f"{part}position_error and {part}velocity_error, each with its reason"
             advice = f"limit {other}." if other else "leave it out."
@@ -162,57 +159,42 @@ def _holds_as(
 
 
 # Metrics that a plan must satisfy to hold: goal and cost.
-_ASKING = frozenset(
-    (
-        "replay_cost",
-        *(
-            f"{of}terminal_{part}_error"
-            for of in ("", "replay_")
-            for part in ("position", "velocity")
-        ),
-    )
-)
+_ASKING = ("terminal_", "replay_terminal_", "replay_cost")
 
 
 def _of_what_is_asked(
     scene: Subject, plan: Trajectory, verdict: Verdict, metrics: tuple[Metric, ...]
 ) -> Verdict:
     """Return the verdict of a plan without goal or cost: consistent, or not applicable."""
-    if not verdict.is_good or any(metric.is_judged for metric in metrics if metric.name in _ASKING):
+    asked = any(metric.is_judged and metric.name.startswith(_ASKING) for metric in metrics)
+    if asked or not verdict.is_good:
         return verdict
-    claims = (
-        plan.has_states
-        or (scene.nc > 0 and "lam" not in plan.missing)
-        or (scene.nf > 0 and "friction" not in plan.missing)
-    )
-    return Verdict.CONSISTENT if claims else Verdict.NOT_APPLICABLE
+    groups = {"lam": scene.nc, "friction": scene.nf}
+    forces = any(count and group not in plan.missing for group, count in groups.items())
+    return Verdict.CONSISTENT if plan.has_states or forces else Verdict.NOT_APPLICABLE
 
 
 def _check_belongs(scene: Subject, trajectory: Trajectory, replay: Replay) -> None:
+    t, nodes = trajectory.t, replay.t[replay.knots]
+    wrong = ""
     if replay.scene != scene.name:
-        raise TrajectoryError(
-            f"replay: it is of scene {replay.scene}, but the plan is judged as one of {scene.name}."
-        )
-    if replay.ok and (
-        len(replay.knots) != len(trajectory.t) or not (replay.t[replay.knots] == trajectory.t).all()
-    ):
-        raise TrajectoryError(
-            f"replay: its {len(replay.knots)} nodes are not the {len(trajectory.t)} of the plan; it is the replay of another plan."
-        )
+        wrong = f"it is of scene {replay.scene}, but the plan is judged as one of {scene.name}."
+    elif replay.ok and not np.array_equal(nodes, t):
+        wrong = f"its {len(nodes)} nodes are not the {len(t)} of the plan; it is the replay of another plan."
+    if wrong:
+        raise TrajectoryError(f"replay: {wrong}")
 
 
 def _why_not_asked(entry: MetricEntry, case: Evidence) -> str:
     """Return why a metric does not apply to a plan, or ""."""
-    plan, scene = case.trajectory, case.scene
+    plan, counts = case.trajectory, {"friction": case.scene.nf, "lam": case.scene.nc}
+    # A scheme needs forces; without them the plan is judged as one without a scheme.
+    absent = {"no scheme" if plan.scheme else "scheme", *plan.missing}
     for need in entry.needs:
-        # A scheme needs forces; without them the plan is judged as one without a scheme.
-        absent = {
-            "scheme": plan.scheme is None, "no scheme": plan.scheme is not None,
-        }.get(need, need in plan.missing)  # fmt: skip
-        if (need == "friction" and not scene.nf) or (need == "lam" and not scene.nc):
-            absent = False
-        if absent:
-            return f"{_NEEDS[need]}{'; the replayed motion touches no contact' if need == 'lam' and case.touches_nothing else ''}."
+        if need in absent and counts.get(need, 1):
+            untouched = need == "lam" and case.touches_nothing
+            more = "; the replayed motion touches no contact" if untouched else ""
+            return f"{_NEEDS[need]}{more}."
     return ""
 
 
@@ -221,18 +203,12 @@ def _not_asked(
 ) -> tuple[str, ...]:
     by_reason: dict[str, list[str]] = {}
     for entry, metric in zip(rows, metrics, strict=True):
-        if (
-            entry.question not in (Question.SHOWN, Question.JUDGE)
-            and metric.value is None
-            and metric.limit is None
-            and metric.reason
-        ):
+        is_empty = metric.value is None and metric.limit is None
+        is_asked = entry.question not in (Question.SHOWN, Question.JUDGE)
+        if is_empty and is_asked and not metric.reason.startswith(_NEEDS["no scheme"]):
             by_reason.setdefault(metric.reason, []).append(metric.name)
-    sentences = [
-        f"{', '.join(names)}: {reason}"
-        for reason, names in by_reason.items()
-        if not reason.startswith(_NEEDS["no scheme"])
-    ]
+    by_reason.pop("", None)
+    sentences = [f"{', '.join(names)}: {reason}" for reason, names in by_reason.items()]
     return (*sentences, *getattr(scene, "not_asked", ()))
 
 
@@ -246,84 +222,56 @@ def _worst(
     if not isinstance(measured, Measured):
         value, error = measured if isinstance(measured, tuple) else (measured, 0.0)
         measured = Measured(values=value, error=error)
-    values = np.atleast_1d(np.asarray(measured.values, dtype=float))
-    parts = [
-        np.broadcast_to(np.asarray(part, dtype=float), values.shape)
-        for part in (measured.error, measured.scales, measured.allowed)
-    ]
-    _, scales, allowed = parts
+    given = measured.values, measured.error, measured.scales, measured.allowed
+    parts = np.broadcast_arrays(*(np.atleast_1d(np.asarray(part, dtype=float)) for part in given))
+    values, _, scales, allowed = parts
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.nan_to_num((values - allowed) / scales, nan=-np.inf)
     place = int(np.argmax(values if limited else relative))
-    error, scale, allows = (float(part[place]) for part in parts)
     is_norm = len(values) == 1 < len(units)
-    return (
-        float(values[place]),
-        error,
-        scale,
-        allows,
-        units[place] if place < len(units) and not is_norm else None,
-    )
+    unit = None if is_norm or place >= len(units) else units[place]
+    value, error, scale, allows = (float(part[place]) for part in parts)
+    return value, error, scale, allows, unit
 
 
 def _metric(entry: MetricEntry, case: Evidence) -> Metric:
-    scene_limit = case.scene.limit(entry.limited_by)
+    own = case.scene.limit(entry.limited_by)
     empty = Metric(
-        name=entry.name,
-        question=entry.question,
-        value=None,
-        unit=entry.unit(case.scene),
-        meaning=entry.meaning,
-    )
+        name=entry.name, question=entry.question, value=None, unit=entry.unit(case.scene),
+        meaning=entry.meaning, default=own is None or own.value is None,
+    )  # fmt: skip
     if absent := _why_not_asked(entry, case):
         return replace(empty, reason=absent)
-    waived = scene_limit is not None and scene_limit.value is None
-    judged = (
-        entry.question is not Question.SHOWN
-        and not waived
-        and (scene_limit is not None or entry.default is not None)
-    )
+    waived = own is not None and own.value is None
     # A default limit is a factor of the scale, a scene's limit an absolute number.
-    stated, reason = (
-        (scene_limit.value, scene_limit.reason)
-        if scene_limit is not None and scene_limit.value is not None
-        else entry.default or (0.0, "")
-    )
+    stated, reason = entry.default or (math.inf, "")
+    if own is not None and own.value is not None:
+        stated, reason = own.value, own.reason
+    judged = entry.question is not Question.SHOWN and not waived and math.isfinite(stated)
     try:
         # Beyond its stability limit the plan's own step may overflow; that is rejected below.
         with np.errstate(over="ignore", invalid="ignore"):
             value, error, scale, allowed, unit = _worst(
-                entry.measure(case), entry.units(case.scene), scene_limit is not None and not waived
+                entry.measure(case), entry.units(case.scene), not empty.default
             )
         if not math.isfinite(value):
             raise LeavesBounds("the metric is too large to be a number.")
     except (Unmeasured, KernelError) as missing:
-        beyond, unmeasured = isinstance(missing, LeavesBounds), replace(empty, reason=str(missing))
-        if not judged or not (
-            beyond or isinstance(missing, Contradicted) or _can_be_asked(entry, case)
-        ):
-            return unmeasured
-        return replace(
-            unmeasured, limit=stated, ok=False if beyond else None, default=scene_limit is None
-        )
+        unmeasured, beyond = replace(empty, reason=str(missing)), isinstance(missing, LeavesBounds)
+        is_open = beyond or isinstance(missing, Contradicted) or _can_be_asked(entry, case)
+        if not judged or not is_open:
+            return replace(unmeasured, default=True)
+        return replace(unmeasured, limit=stated, ok=False if beyond else None)
     measured = replace(empty, value=value, error=error, unit=unit or empty.unit)
-    if not judged:
-        return replace(
-            measured, reason=scene_limit.reason if scene_limit is not None and waived else ""
-        )
-    bound = (stated if scene_limit is not None else stated * scale) + allowed
-    if not math.isfinite(bound):
-        return measured
-    return measured.held_to(bound, reason, default=scene_limit is None)
+    bound = (stated * scale if empty.default else stated) + allowed
+    if not judged or not math.isfinite(bound):
+        why = own.reason if own is not None and waived else ""
+        return replace(measured, reason=why, default=True)
+    return measured.held_to(bound, reason, default=empty.default)
 
 
 def _can_be_asked(entry: MetricEntry, case: Evidence) -> bool:
     """Return whether an unmeasured metric leaves a question open; on external FMUs it does not."""
-    if isinstance(case.scene, Scene):
-        return True
-    try:
-        if entry.of_replay:
-            case.replay  # noqa: B018 - a failed replay leaves everything open
-    except Unmeasured:
-        return True
-    return False
+    if isinstance(case.scene, Scene) or not entry.of_replay:
+        return isinstance(case.scene, Scene)
+    return case.replayed is None or not case.replayed.ok

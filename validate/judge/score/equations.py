@@ -96,25 +96,3 @@ def energy_residual(
     energy E: (n,), with contact energy; works: (n,) since the start [J]. Raises ValueError.
     """
     return float(np.abs(energy - energy[0] - input_work + dissipated_work).max())
-
-
-def energy_turnover(
-    kinetic: np.ndarray,
-    potential: np.ndarray,
-    contact: np.ndarray,
-    input_work: np.ndarray,
-    dissipated_work: np.ndarray,
-) -> float:
-    """Return the energy turned over [J]: largest of kinetic, contact, range of potential, works.
-
-    All (n,) [J]. Raises ValueError without rows.
-    """
-    return float(
-        max(
-            kinetic.max(),
-            contact.max(),
-            np.ptp(potential),
-            np.abs(input_work).max(),
-            np.abs(dissipated_work).max(),
-        )
-    )

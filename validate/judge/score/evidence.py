@@ -5,7 +5,8 @@ A KernelError of the compiled functions counts as Unmeasured in the score.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import cached_property
 
 import numpy as np
@@ -27,7 +28,7 @@ from validate.judge.printed import columns_rounding
 from validate.judge.replay.result import Difference, Replay, ReplayOutcome
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.wiring import HeldInputs
-from validate.judge.score.forces import by_convention, least_slip, within_steps
+from validate.judge.score.forces import by_convention, cubic, least_slip, within_steps
 from validate.judge.score.verdict import LeavesBounds, Unmeasured
 
 # Gauss-Legendre points and weights on (0, 1), exact for squares of cubics.
@@ -77,12 +78,12 @@ class Evidence:
     def q(self) -> np.ndarray:
         """Return the plan's positions (nodes, nq) [m or rad]. Raises Unmeasured if missing."""
         self.need("q")
-        self._must_say("q", "positions", [item.name for item in self.scene.coordinates])
-        return self.trajectory.q
+        return self._stated("q", "positions", self.trajectory.q)
 
-    def _must_say(self, group: str, words: str, columns: Sequence[str]) -> None:
+    def _stated(self, group: str, words: str, values: np.ndarray) -> np.ndarray:
         if group in self.trajectory.missing:
-            raise Unmeasured(f"the plan does not say its {words} ({', '.join(columns)}).")
+            raise Unmeasured(f"the plan does not say its {words}.")
+        return values
 
     @cached_property
     def goal(self) -> np.ndarray:
@@ -105,16 +106,12 @@ class Evidence:
         h, nodes, held = np.diff(t)[:, None], self.trajectory.t, self.held_inputs
         step = np.clip(np.searchsorted(nodes, t[:-1], side="right") - 1, 0, len(u) - 1)
         first = u[step] + held.slopes[step] * (t[:-1] - nodes[step])[:, None]
-        moved, begins, ends = np.diff(q, axis=0), h * v[:-1], h * v[1:]
+        begins, ends = h * v[:-1], h * v[1:]
         if self.equations.relaxation_index is not None:
-            begins = ends = moved
+            begins = ends = np.diff(q, axis=0)
         cost = self._final_cost(q[-1], v[-1])
         for s, weight in zip(_POINTS, _WEIGHTS, strict=True):
-            place = q[:-1] + s * begins
-            place += s**2 * (3.0 * moved - 2.0 * begins - ends)
-            place += s**3 * (begins + ends - 2.0 * moved)
-            speed = begins + 2.0 * s * (3.0 * moved - 2.0 * begins - ends)
-            speed += 3.0 * s**2 * (begins + ends - 2.0 * moved)
+            place, speed = cubic(q, begins, ends, s)
             speed = np.divide(speed, h, out=v[:-1].copy(), where=h > 0.0)
             rate = self._running_cost(place, speed, first + s * h * held.slopes[step])
             cost += weight * float(h[:, 0] @ rate) / self.scene.task.step
@@ -173,15 +170,12 @@ class Evidence:
             return k, np.zeros_like(k)
         d, depth = derive(scene), np.maximum(-self.replay_gap, 0.0)
         c = d.function(d.damping)().ravel()
-        is_linear = np.array(
-            [contact.damping_law is DampingLaw.KELVIN_VOIGT for contact in scene.contacts]
-        )
-        share = np.divide(
-            self.replay.lam, k * depth, out=np.zeros_like(depth), where=depth > 0.0
-        ).max(axis=0)  # Hunt-Crossley: 1 + d phi'
-        return np.where(is_linear, k, k * np.maximum(share, 1.0)), np.where(
-            is_linear, c, c * k * depth.max(axis=0)
-        )
+        laws = [contact.damping_law for contact in scene.contacts]
+        linear = np.array([law is DampingLaw.KELVIN_VOIGT for law in laws])
+        pressed, none = depth > 0.0, np.zeros_like(depth)
+        share = np.divide(self.replay.lam, k * depth, out=none, where=pressed).max(axis=0)
+        by_depth = np.where(linear, k, k * np.maximum(share, 1.0))  # Hunt-Crossley: 1 + d phi'
+        return by_depth, np.where(linear, c, c * k * depth.max(axis=0))
 
     @cached_property
     def length(self) -> np.ndarray:
@@ -192,11 +186,6 @@ class Evidence:
     def lam(self) -> np.ndarray:
         """Return the plan's contact forces (steps, nc) [N], zero if missing. Raises nothing."""
         return self.trajectory.lam[:, : self.scene.nc]
-
-    @property
-    def planned_impulse(self) -> float:
-        """Return the sum of h |lam| [N s]."""
-        return float((self.h[:, None] * np.abs(self.lam)).sum())
 
     @cached_property
     def typical_force(self) -> float:
@@ -217,13 +206,9 @@ class Evidence:
     @cached_property
     def law_within(self) -> np.ndarray:
         """Return the true contact forces (parts, steps, nc) [N] in steps. Raises Unmeasured."""
-        damped = self.equations.damped
-        return np.array(
-            [
-                self.kernel.contact_force(q, v=v if damped else None)
-                for q, v in zip(*self.within_steps, strict=True)
-            ]
-        )
+        damped, pairs = self.equations.damped, zip(*self.within_steps, strict=True)
+        forces = [self.kernel.contact_force(q, v=v if damped else None) for q, v in pairs]
+        return np.array(forces)
 
     @cached_property
     def laws(self) -> dict[str, np.ndarray]:
@@ -248,16 +233,12 @@ class Evidence:
     @cached_property
     def rounding_of_law(self) -> np.ndarray:
         """Return the change (steps, nc) [N] of forces by rounding of q. Raises Unmeasured."""
-        d, rounding = derive(self.equations), self.rounding["q"]
-        if not rounding.any():
-            return np.zeros_like(self.lam)
-        jacobian = d.function(d.gap_jacobian, d.q)
-        moved = np.array(
-            [
-                np.abs(jacobian(q).reshape(self.scene.nc, -1)) @ r
-                for q, r in zip(self.q, rounding, strict=True)
-            ]
-        )
+        moved = np.zeros((len(self.q), self.scene.nc))
+        for unit, rounding in zip(np.eye(self.scene.nq), self.rounding["q"].T, strict=True):
+            if rounding.any():
+                along = np.broadcast_to(unit, self.q.shape)
+                rates = collocation.penetration_rates(self.kernel, self.q, along)
+                moved += np.abs(rates) * rounding[:, None]
         return self.k * np.maximum(moved[:-1], moved[1:])
 
     @cached_property
@@ -272,11 +253,10 @@ class Evidence:
         except Unmeasured:
             lam = np.maximum(self.replay.lam[:, : self.scene.nc], 0.0)
             replayed = ((lam[:-1] + lam[1:]) / 2.0 * self.duration[:, None]).sum()
-            return max(self.planned_impulse, float(replayed))
-        try:
+            return max(float((self.h @ np.abs(self.lam)).sum()), float(replayed))
+        common = 0.0
+        with suppress(Unmeasured):
             common = common_impulse(self.lam, self.force_window[1], self.h)
-        except Unmeasured:
-            common = 0.0
         return impulse_yardstick(common, force, self.trajectory.duration)
 
     @cached_property
@@ -302,28 +282,22 @@ class Evidence:
     @cached_property
     def printing_acceleration(self) -> float:
         """Return the change of accelerations by random rounding of the plan."""
-        plan, size = self.trajectory, self.rounding
+        plan, size, random = self.trajectory, self.rounding, np.random.default_rng(0)
         if not any(part.any() for part in size.values()):
             return 0.0
-        random = np.random.default_rng(0)
 
         def acceleration(scale: float) -> np.ndarray:
-            """Return accelerations (steps, nq) [m/s^2 or rad/s^2] with this share of rounding.
-
-            Raises KernelError.
-            """
-
-            def moved(group: str, values: np.ndarray) -> np.ndarray:
-                """Return values (steps, n) [unit of the group], rounded. Raises KeyError."""
-                signs = random.choice((-1.0, 1.0), size=values.shape)
-                return values + scale * size[group][: len(values)] * signs
-
-            q, v, u = moved("q", plan.q[:-1]), moved("v", plan.v[:-1]), moved("u", plan.u)
-            lam = plan.lam.copy()
-            lam[:, : self.scene.nc] = self.kernel.contact_force(
-                q, v=v if self.equations.damped else None
-            )
-            return self._of_steps(self.kernel.acceleration(q, v, u, moved("lam", lam)))
+            """Return accelerations (steps, nq) [m/s^2 or rad/s^2] with this share of rounding."""
+            groups = {"q": plan.q[:-1], "v": plan.v[:-1], "u": plan.u, "lam": plan.lam}
+            off = {
+                group: scale * size[group][: plan.steps] * random.choice((-1.0, 1.0), values.shape)
+                for group, values in groups.items()
+            }
+            q, v, u, lam = (values + off[group] for group, values in groups.items())
+            damped, nc = self.equations.damped, self.scene.nc
+            force = self.kernel.contact_force(q, v=v if damped else None)
+            lam[:, :nc] = force + off["lam"][:, :nc]
+            return self._of_steps(self.kernel.acceleration(q, v, u, lam))
 
         still = acceleration(0.0)
         return float(max(np.abs(acceleration(1.0) - still).max() for _ in range(3)))
@@ -341,7 +315,7 @@ class Evidence:
         """
         if isinstance(self.scene, Scene):
             return np.array(self.scene.task.start, dtype=float)
-        return np.concatenate([self.replay.q[0], self.replay.v[0]])
+        return np.append(self.replay.q[0], self.replay.v[0])
 
     @property
     def has_inertia(self) -> bool:
@@ -381,31 +355,21 @@ class Evidence:
     @cached_property
     def friction_excess(self) -> np.ndarray:
         """Return the excess (steps, nf) [N] of friction over mu N. Raises Unmeasured."""
-        limits = np.array(
-            [
-                np.maximum(self.kernel.friction_limit(q, lam), 0.0)
-                for q, lam in zip(self.within_steps[0], self.pressing, strict=True)
-            ]
-        )
-        more = self.rounding["lam"][:, : self.scene.nc] + (
-            self.rounding_of_law if self.scene.nc else 0.0
-        )
+        kernel, nc, q, rounding = self.kernel, self.scene.nc, self.q[:-1], self.rounding["lam"]
+        pairs = zip(self.within_steps[0], self.pressing, strict=True)
+        limits = np.array([np.maximum(kernel.friction_limit(*pair), 0.0) for pair in pairs])
         moved = self.trajectory.lam.copy()
-        moved[:, : self.scene.nc] = self.pressing[0][:, : self.scene.nc] + more
-        rounded = self.kernel.friction_limit(self.q[:-1], moved) - self.kernel.friction_limit(
-            self.q[:-1], self.pressing[0]
-        )
-        allowed = self.rounding["lam"][:, self.scene.nc :] + np.abs(rounded)
-        if self.trajectory.scheme is not None:
-            known = [limits[0]]
-        else:
-            candidates = by_convention(limits, None)
-            known = (
-                [candidates[self.convention]]
-                if self.convention in candidates
-                else [*candidates.values()]
-            )
-        over = [np.maximum(np.abs(self.friction) - limit - allowed, 0.0) for limit in known]
+        moved[:, :nc] = self.pressing[0][:, :nc] + rounding[:, :nc]
+        if nc:
+            moved[:, :nc] += self.rounding_of_law
+        rounded = kernel.friction_limit(q, moved) - kernel.friction_limit(q, self.pressing[0])
+        allowed = rounding[:, nc:] + np.abs(rounded)
+        known = {"start": limits[0]}
+        if self.trajectory.scheme is None:
+            known = by_convention(limits, None)
+            if self.convention in known:
+                known = {self.convention: known[self.convention]}
+        over = [np.maximum(np.abs(self.friction) - f - allowed, 0.0) for f in known.values()]
         return min(over, key=lambda excess: float(self.h @ excess.sum(axis=1)))
 
     @property
@@ -431,8 +395,7 @@ class Evidence:
     @property
     def v(self) -> np.ndarray:
         """Return the plan's velocities (nodes, nq) [m/s or rad/s]. Raises Unmeasured if missing."""
-        self._must_say("v", "velocities", [item.velocity_name for item in self.scene.coordinates])
-        return self.trajectory.v
+        return self._stated("v", "velocities", self.trajectory.v)
 
     def _of_steps(self, acceleration: np.ndarray) -> np.ndarray:
         """Return accelerations (steps, nq) of the plan's steps, at once without inertia."""
@@ -470,36 +433,27 @@ class Evidence:
         """
         if parts in self._own_motions:
             return self._own_motions[parts]
-        plan, u, steps = (
-            self.trajectory,
-            np.repeat(self.trajectory.u, parts, axis=0),
-            np.repeat(self.h / parts, parts),
-        )
+        plan, u = self.trajectory, np.repeat(self.trajectory.u, parts, axis=0)
+        steps = np.repeat(self.h / parts, parts)
         if plan.scheme not in (None, Scheme.SEMI_IMPLICIT_EULER):
             q, v, reached = collocation.rollout(self.kernel, plan.scheme, plan.start, u, steps)
-        elif (steps == steps[0]).all():
-            rollout = self.kernel.rollout(plan.start, u, float(steps[0]))
-            q, v, reached = rollout.q, rollout.v, rollout.finite_steps
-        else:
-            q, v = (
-                np.full((len(steps) + 1, self.scene.nq), np.nan),
-                np.full((len(steps) + 1, self.scene.nq), np.nan),
-            )
-            q[0], v[0], reached = plan.q[0], plan.v[0], 0
-            for step, h in enumerate(steps):
-                rollout = self.kernel.rollout(
-                    np.concatenate([q[step], v[step]]), u[step : step + 1], float(h)
-                )
+        else:  # one rollout for all steps of equal length in a row
+            q, v = (np.full((len(steps) + 1, self.scene.nq), np.nan) for _ in range(2))
+            (q[0], v[0]), reached = (plan.q[0], plan.v[0]), 0
+            starts = np.flatnonzero(np.diff(steps, prepend=np.nan) != 0.0)
+            for first, last in zip(starts, [*starts[1:], len(steps)], strict=True):
+                start = np.concatenate([q[first], v[first]])
+                rollout = self.kernel.rollout(start, u[first:last], float(steps[first]))
+                q[first : last + 1], v[first : last + 1] = rollout.q, rollout.v
+                reached = first + rollout.finite_steps
                 if rollout.diverged:
                     break
-                q[step + 1], v[step + 1], reached = rollout.q[1], rollout.v[1], step + 1
         if reached < len(steps):
             raise LeavesBounds(
                 f"with the true contact law the plan's own time step diverges at step {reached // parts} of {plan.steps}."
             )
-        return self._own_motions.setdefault(
-            parts, (q[::parts].copy(), v[::parts].copy())
-        )  # a view would keep all parts
+        # Copies: a view would keep all parts.
+        return self._own_motions.setdefault(parts, (q[::parts].copy(), v[::parts].copy()))
 
     @cached_property
     def grid_errors(self) -> list[float]:
@@ -550,13 +504,9 @@ class Evidence:
     @property
     def touches_nothing(self) -> bool:
         """Return whether the finished replay has gaps, and none closes."""
-        replay = self.replayed
-        return (
-            replay is not None
-            and replay.ok
-            and replay.gap.size > 0
-            and bool((replay.gap > 0.0).all())
-        )
+        if self.replayed is None or not self.replayed.ok or not self.replayed.gap.size:
+            return False
+        return bool((self.replayed.gap > 0.0).all())
 
     @property
     def error(self) -> Difference:
@@ -591,13 +541,8 @@ class Evidence:
         Means are included, because a bounce between rows shows in none. Raises Unmeasured.
         """
         self.need("lam")
-        impulse, knots = self.replay.contact_impulse, self.replay.knots
-        mean = (
-            None
-            if impulse is None
-            else np.diff(impulse[knots], axis=0) / np.diff(self.trajectory.t)[:, None]
-        )
-        return force_window(self.replay.lam, self.step_of, self.trajectory.steps, mean)
+        lam, steps = self.replay.lam, self.trajectory.steps
+        return force_window(lam, self.step_of, steps, self._replayed_means)
 
     @cached_property
     def step_of(self) -> np.ndarray:

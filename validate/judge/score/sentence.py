@@ -52,11 +52,8 @@ def explain(scored: ScoredPlan) -> tuple[str, Cause | None]:
 
 
 def _judged(scored: ScoredPlan, ok: bool | None, of_feedback: bool = False) -> list[Metric]:
-    metrics = [
-        metric
-        for metric in scored.metrics.values()
-        if metric.is_judged and metric.ok is ok and is_of_feedback(metric.name) is of_feedback
-    ]
+    judged = [item for item in scored.metrics.values() if item.is_judged and item.ok is ok]
+    metrics = [item for item in judged if is_of_feedback(item.name) is of_feedback]
     return sorted(metrics, key=lambda metric: list(Question).index(metric.question))
 
 
@@ -128,26 +125,19 @@ def _holds(scored: ScoredPlan) -> str:
 
 
 def _of_what_is_shown(scored: ScoredPlan) -> str:
-    asked = [
-        str(question.number)
-        for question, word in scored.questions.items()
-        if question.number and word != "not asked"
-    ]
+    pairs = scored.questions.items()
+    asked = [str(of.number) for of, word in pairs if of.number and word != "not asked"]
     return f"for what this FMU shows (question{'s' if len(asked) > 1 else ''} {', '.join(asked)})"
 
 
 def _asks_nothing(scored: ScoredPlan) -> str:
     """Say that nothing is asked, and advise a goal or limit that asks for something."""
-    is_scene = isinstance(scored.case.scene, Scene)
+    who, advice = "the map", "give it a [goal] with its limits"
+    if isinstance(scored.case.scene, Scene):
+        who, advice = "the scene", "give it a goal, or a limit on its cost"
     if scored.case.scene.task.has_goal:
         advice = "no limit on its goal counts for this plan; set one, with a reason"
-    else:
-        advice = (
-            "give it a goal, or a limit on its cost"
-            if is_scene
-            else "give it a [goal] with its limits"
-        )
-    return f"{'the scene' if is_scene else 'the map'} asks for nothing: {advice}."
+    return f"{who} asks for nothing: {advice}."
 
 
 def _holds_with_feedback(scored: ScoredPlan) -> str:

@@ -27,7 +27,7 @@ from validate.judge.score.verdict import EFFORT, SHARE, TRACKED, LeavesBounds, Q
 class MetricEntry:
     """One metric; measure raises Unmeasured with a reason.
 
-    - units: of each component, or those of a norm.
+    - name: the measure's own if empty; units: of each component, or those of a norm.
     - quoted: phrase of the verdict, {} is the value; default `NAME is {}`.
     - default: limit as a factor of the scale, and reason; None: only a scene's limit judges.
     - needs: groups of the plan, of "q", "v", "lam", "friction", "scheme", "no scheme".
@@ -35,17 +35,20 @@ class MetricEntry:
     - limit_of: metric whose limit is used.
     """
 
-    name: str
-    question: Question
-    units: Callable[[Subject], tuple[str, ...]]
-    meaning: str
     measure: Callable[[Evidence], Measured | tuple[float, float] | float]
+    meaning: str
+    name: str = ""
+    question: Question = Question.SHOWN
+    units: Callable[[Subject], tuple[str, ...]] = lambda scene: ("1",)
     applies: Callable[[Subject], bool] = lambda scene: True
     needs: tuple[str, ...] = ()
     default: tuple[float, str] | None = None
     of_replay: bool = False
     quoted: str = ""
     limit_of: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", self.name or getattr(self.measure, "__name__", ""))
 
     @property
     def limited_by(self) -> str:
@@ -93,6 +96,10 @@ def _has_velocity_bounds(scene: Subject) -> bool:
     return any(item.has_velocity_bounds for item in scene.coordinates)
 
 
+def _bounded(which: Callable[..., bool]) -> Callable[[Subject], bool]:
+    return lambda scene: any(which(np.isfinite((i.lower, i.upper))) for i in scene.inputs)
+
+
 def _is_scene(scene: Subject) -> bool:
     return isinstance(scene, Scene)
 
@@ -116,12 +123,11 @@ def _ends(
     of: prefix of the names; where, subject: of meanings and phrases; needs: of the three.
     """
     for part, groups in zip(("position", "velocity", ""), needs, strict=True):
-        rows = measures.rows_of(part)
 
-        def units(scene: Subject, rows: Callable[[int], slice] = rows) -> tuple[str, ...]:
-            chosen, goal = rows(scene.nq), scene.task.goal
-            pairs = zip(_states(scene)[chosen], goal[chosen], strict=True)
-            return tuple(unit for unit, value in pairs if value is not None)
+        def units(scene: Subject, part: str = part) -> tuple[str, ...]:
+            parts = ["position"] * scene.nq + ["velocity"] * scene.nq
+            states = zip(parts, _states(scene), scene.task.goal, strict=True)
+            return tuple(u for of, u, value in states if part in (of, "") and value is not None)
 
         yield MetricEntry(
             name=f"{of}terminal_{part}{'_' * bool(part)}error",
@@ -142,50 +148,38 @@ def _ends(
 
 _OF_IMPULSE = (
     IMPULSE,
-    "1 % of the contact impulse that plan and replay have in common, or of a typical force for a fiftieth of the plan",
+    "1 % of the common contact impulse, at least that of a fiftieth of the plan",
 )
 
 TABLE = (
     MetricEntry(
-        name="start_error",
         question=Question.TASK,
         units=_states,
         measure=measures.start_error,
         needs=("q",),
-        default=(
-            1e-6,
-            "1e-6 of the nominal, or of the way to the goal where that is shorter: a plan from another start solves another task",
-        ),
+        default=(1e-6, "1e-6 of the nominal, or of the way to the goal if that is shorter"),
         meaning="largest distance of the plan's first state from the task's start",
         quoted="the plan starts {} away from the task's start",
     ),
     MetricEntry(
-        name="duration_error",
         question=Question.TASK,
         units=_unit("s"),
         measure=measures.duration_error,
         applies=lambda scene: scene.task.horizon is not None,
-        default=(
-            0.5,
-            "half a step of the task, of an FMU a thousandth of its duration: a plan that lasts another time solves another task",
-        ),
+        default=(0.5, "half a step of the task, of an FMU a thousandth of its duration"),
         meaning="by how much the plan is longer or shorter than the task",
         quoted="the plan and the task differ in duration by {}",
     ),
     MetricEntry(
-        name="bound_violation",
         question=Question.TASK,
         units=_inputs,
         measure=measures.bound_violation,
-        applies=lambda scene: any(
-            np.isfinite((item.lower, item.upper)).any() for item in scene.inputs
-        ),
+        applies=_bounded(np.any),
         default=(1e-6, "1e-6 of the range, the solvers' own tolerance: the actuators give no more"),
         meaning="by how much the plan's inputs leave their bounds",
         quoted="the inputs leave their bounds by {}",
     ),
     MetricEntry(
-        name="velocity_bound_violation",
         question=Question.TASK,
         units=_velocities,
         measure=measures.velocity_bound_violation,
@@ -197,7 +191,6 @@ TABLE = (
     ),
     *_ends("", Question.GOAL, "in the plan", "the plan itself", (("q",), ("v",), ("q",))),
     MetricEntry(
-        name="velocity_error",
         question=Question.FORCES,
         units=_positions,
         measure=measures.velocity_error,
@@ -208,7 +201,6 @@ TABLE = (
         quoted="its velocities are not those of its positions: they would move it {} elsewhere in a tenth of the plan",
     ),
     MetricEntry(
-        name="contact_law_error",
         question=Question.FORCES,
         units=_unit("N s"),
         measure=measures.contact_law_error,
@@ -219,7 +211,6 @@ TABLE = (
         quoted="its contact forces are not those of its own motion: impulse {} from what the contact law gives",
     ),
     MetricEntry(
-        name="contact_force_error",
         question=Question.FORCES,
         units=_unit("N"),
         measure=measures.contact_force_error,
@@ -230,21 +221,16 @@ TABLE = (
         quoted="a planned contact force is {} from what the contact law gives within a step of it",
     ),
     MetricEntry(
-        name="physics_scaled",
         question=Question.FORCES,
         units=_unit("s"),
         measure=measures.physics_scaled,
         applies=lambda scene: _is_scene(scene) and _has_contacts(scene),
         needs=("lam", "q", "scheme"),
-        default=(
-            2e-6,
-            "averaged over plan and contacts a product of 2e-6 (k L)^2: a thousandth of k L where the gap is just closed, less at a distance",
-        ),
+        default=(2e-6, "a thousandth of k L if the gap is just closed, less at a distance"),
         meaning="sum of h |lam (lam - k phi)| / (k L)^2, with L the nominal penetration of the contact: complementarity violation, the same on any grid",
         quoted="its contact forces are not those of contact: complementarity violation {} (scaled)",
     ),
     MetricEntry(
-        name="force_sign_violation",
         question=Question.FORCES,
         units=_unit("N"),
         measure=measures.force_sign_violation,
@@ -255,21 +241,16 @@ TABLE = (
         quoted="a planned contact force pulls with {}",
     ),
     MetricEntry(
-        name="friction_violation",
         question=Question.FORCES,
         units=_unit("N"),
         measure=measures.friction_violation,
         applies=_has_friction,
         needs=("friction", "q"),
-        default=(
-            1e-4,
-            "1e-4 of mu N of a typical force: more is force that friction does not have",
-        ),
+        default=(1e-4, "1e-4 of mu N of a typical force"),
         meaning="by how much a planned friction force exceeds mu N, with N what the plan itself presses with, or the contact law where it states no contact forces",
         quoted="a planned friction force exceeds mu N by {}",
     ),
     MetricEntry(
-        name="friction_dissipation_error",
         question=Question.FORCES,
         units=_unit("W"),
         measure=measures.friction_dissipation_error,
@@ -280,7 +261,6 @@ TABLE = (
         quoted="it slips without all of mu N holding it back, by {}",
     ),
     MetricEntry(
-        name="replay_error",
         question=Question.MOTION,
         units=_positions,
         measure=measures.replay_error,
@@ -292,9 +272,7 @@ TABLE = (
     ),
     *_ends("replay_", Question.MOTION, "in the replay", "driven by its inputs the motion"),
     MetricEntry(
-        name="replay_cost",
         question=Question.MOTION,
-        units=_unit("1"),
         measure=measures.replay_cost,
         applies=_is_scene,
         of_replay=True,
@@ -302,20 +280,16 @@ TABLE = (
         quoted="driven by its inputs the motion costs {}",
     ),
     MetricEntry(
-        name="max_penetration",
         question=Question.POSSIBLE,
         units=_unit("m"),
         measure=measures.max_penetration,
-        applies=lambda scene: (
-            _has_contacts(scene) and any(depth is not None for depth in scene.depths)
-        ),
+        applies=lambda scene: scene.nc > 0 and any(depth is not None for depth in scene.depths),
         of_replay=True,
         default=(1.0, "the depth at which the model of the contact ends"),
         meaning="deepest penetration in the replay, of the contact that is nearest to the depth at which its model ends",
         quoted="the bodies penetrate by {}",
     ),
     MetricEntry(
-        name="ghost_impulse",
         question=Question.POSSIBLE,
         units=_unit("N s"),
         measure=measures.ghost_impulse,
@@ -327,7 +301,6 @@ TABLE = (
         quoted="contact that the replay does not have: impulse {}",
     ),
     MetricEntry(
-        name="missed_impulse",
         question=Question.POSSIBLE,
         units=_unit("N s"),
         measure=measures.missed_impulse,
@@ -339,7 +312,6 @@ TABLE = (
         quoted="contact that the plan does not have: impulse {}",
     ),
     MetricEntry(
-        name="friction_impulse_error",
         question=Question.POSSIBLE,
         units=_unit("N s"),
         measure=measures.friction_impulse_error,
@@ -348,13 +320,12 @@ TABLE = (
         of_replay=True,
         default=(
             0.1,
-            "a tenth of the replay's friction impulse, or of mu N of a typical force for a fiftieth of the plan",
+            "a tenth of the replay's friction impulse, at least of a fiftieth of the plan",
         ),
         meaning="impulse of planned friction beyond what the replay has within a step of it, or below",
         quoted="friction that the replay does not have: impulse {}",
     ),
     MetricEntry(
-        name="replay_velocity_bound_violation",
         question=Question.POSSIBLE,
         units=_velocities,
         measure=measures.replay_velocity_bound_violation,
@@ -365,21 +336,16 @@ TABLE = (
         quoted="driven by its inputs the velocities leave their bounds by {}",
     ),
     MetricEntry(
-        name="defect",
         question=Question.SCHEME,
         units=_states,
         measure=measures.defect,
         applies=_is_scene,
         needs=("q", "v", "lam", "friction", "scheme"),
-        default=(
-            DEFECT,
-            "1e-6 of the nominal: a plan with a larger residual does not satisfy its declared scheme",
-        ),
+        default=(DEFECT, "1e-6 of the nominal, the solvers' own tolerance"),
         meaning="largest residual of the plan in its declared scheme, with its own contact forces (a collocation: with those of the true law at its stages)",
         quoted="it does not satisfy its declared scheme (residual {})",
     ),
     MetricEntry(
-        name="law_error",
         question=Question.SCHEME,
         units=_positions,
         measure=measures.law_error,
@@ -398,20 +364,15 @@ TABLE = (
         (10.0, "the plan's own limit, and ten times what a defect of 1e-6 a step explains"),
     ),
     MetricEntry(
-        name="answer_error",
         question=Question.JUDGE,
-        units=_unit("1"),
         measure=measures.answer_error,
-        of_replay=False,
         applies=lambda scene: any(answer.measure for answer in scene.answers),
         default=(1.0, "the tolerance of the closed form"),
         meaning="largest distance of the replay from a closed form of the scene, in units of that answer's tolerance",
         quoted="the replay is {} tolerances off a closed form of the scene",
     ),
     MetricEntry(
-        name="energy_residual_relative",
         question=Question.JUDGE,
-        units=_unit("1"),
         measure=measures.energy_residual_relative,
         applies=_is_scene,
         of_replay=True,
@@ -420,17 +381,12 @@ TABLE = (
         quoted="the replay's energy does not balance by {} of what is turned over",
     ),
     MetricEntry(
-        name="cost",
-        question=Question.SHOWN,
-        units=_unit("1"),
         measure=measures.cost,
         applies=_is_scene,
         needs=("q", "v"),
         meaning="the task's cost as methods minimise it: the running cost at the starts of the plan's steps, and the final cost",
     ),
     MetricEntry(
-        name="physics",
-        question=Question.SHOWN,
         units=_unit("N^2"),
         measure=measures.physics,
         applies=lambda scene: _is_scene(scene) and _has_contacts(scene),
@@ -441,8 +397,6 @@ TABLE = (
 # Metrics that explain a failure; a plan that holds has none.
 EXPLAINING = (
     MetricEntry(
-        name="grid_error",
-        question=Question.SHOWN,
         units=_positions,
         measure=measures.grid_error,
         applies=_is_scene,
@@ -450,9 +404,6 @@ EXPLAINING = (
         meaning="largest position difference between the true law on the plan's grid and in continuous time: the discretisation error",
     ),
     MetricEntry(
-        name="grid_order",
-        question=Question.SHOWN,
-        units=_unit("1"),
         measure=measures.grid_order,
         applies=_is_scene,
         needs=("q", "v", "scheme"),
@@ -489,27 +440,17 @@ FEEDBACK = (
     MetricEntry(
         name=EFFORT,
         question=Question.MOTION,
-        units=_unit("1"),
         measure=lambda case: _effort(case).rms_share,
-        applies=lambda scene: any(
-            np.isfinite((item.lower, item.upper)).all() for item in scene.inputs
-        ),
-        default=(
-            FEEDBACK_EFFORT,
-            "a quarter of what the inputs can give, in the root mean square, corrects a plan; more makes another one",
-        ),
+        applies=_bounded(np.all),
+        default=(FEEDBACK_EFFORT, "a quarter of the inputs' half-range; more makes another plan"),
         meaning="root mean square of what the feedback added to the plan's inputs, as a share of half their range; the largest over the inputs",
         quoted="the RMS effort of the feedback is {} of the half-range of the inputs",
     ),
     MetricEntry(
         name=SHARE,
         question=Question.MOTION,
-        units=_unit("1"),
         measure=_plan_share,
-        default=(
-            FEEDBACK_SHARE,
-            "a quarter of what the plan itself gives, in the root mean square, corrects a plan; more makes another one",
-        ),
+        default=(FEEDBACK_SHARE, "a quarter of the plan's own inputs; more makes another plan"),
         meaning="root mean square of what the feedback added, as a share of that of the plan's own inputs, all inputs in halves of their ranges and averaged over a fiftieth of the plan",
         quoted="the RMS effort of the feedback is {} of what the plan's own inputs do",
     ),

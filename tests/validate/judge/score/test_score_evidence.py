@@ -389,14 +389,18 @@ def test_a_window_of_forces_knows_their_means_where_impulses_are_told():
         need=lambda part: None,
         trajectory=SimpleNamespace(steps=3, t=np.array([0.0, 0.2, 0.4, 0.6])),
         step_of=np.array([0, 0, 1, 1, 2, 2]),
-        replay=SimpleNamespace(lam=lam, contact_impulse=impulse, knots=np.array([0, 2, 4, 6])),
+        replayed=SimpleNamespace(
+            lam=lam, contact_impulse=impulse, knots=np.array([0, 2, 4, 6]), ok=True
+        ),
     )  # fmt: skip
+    case.replay, case._replayed_means = case.replayed, of("_replayed_means", case)
     least, largest = of("force_window", case)
     assert (least.ravel().tolist(), largest.ravel().tolist()) == (
         [0.0, 0.0, 0.0],
         [pytest.approx(3.0), 5.0, 5.0],
     )
     case.replay.contact_impulse = None
+    case._replayed_means = of("_replayed_means", case)
     assert of("force_window", case)[1].ravel().tolist() == [0.0, 5.0, 5.0]
 
 

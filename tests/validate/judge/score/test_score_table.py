@@ -503,7 +503,7 @@ def test_what_cannot_be_measured_leaves_a_question_open_for_scenes_and_failed_re
         SimpleNamespace(missing=frozenset(), scheme=None),
         SimpleNamespace(outcome=ReplayOutcome.OK, ok=True),
     )
-    foreign = SimpleNamespace(limit=lambda name: None, coordinates=[])
+    foreign = SimpleNamespace(limit=lambda name: None, coordinates=[], nf=0, nc=0)
     for subject, replayed, of_replay, is_open in (
         (scene, there, False, True), (scene, there, True, True), (foreign, there, True, False),
         (foreign, None, True, True), (foreign, None, False, False),
