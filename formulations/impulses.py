@@ -19,7 +19,13 @@ from formulations.grids import (
 )
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
-from models.scene.default_limits import IMPULSE, impulse_yardstick
+from models.scene.default_limits import IMPULSE
+from models.scene.impulses import (
+    common_impulse,
+    excess_impulse,
+    force_window,
+    impulse_yardstick,
+)
 from models.scene.typical_force import typical_force
 from models.trajectory import Trajectory
 
@@ -43,28 +49,20 @@ def contact_departure(scene: Scene, plan: Trajectory) -> float:
 
 
 def _departs(scene: Scene, plan: Trajectory, motion: Trajectory) -> float:
-    planned = plan.lam[:, : scene.nc]
-    forces = motion.lam[:, : scene.nc].reshape(plan.steps, PARTS, scene.nc)
-    least, most = _around(forces.min(axis=1), np.minimum), _around(forces.max(axis=1), np.maximum)
-    step = scene.task.step
-    common = step * float(np.minimum(np.abs(planned), most).sum())
-    yardstick = impulse_yardstick(common, typical_force(scene, load_kernel(scene)), plan.duration)
-    deepest = float((_depths(scene, motion) / np.array(scene.depths)).max())
+    kernel, h = load_kernel(scene), np.full(plan.steps, scene.task.step)
+    planned, forces = plan.lam[:, : scene.nc], motion.lam[:, : scene.nc]
+    # The motion's forces are those at the starts of its steps; the last one stands for its end too.
+    ends = np.concatenate([forces, forces[-1:]])
+    least, most = force_window(ends, np.repeat(np.arange(plan.steps), PARTS), plan.steps)
+    common = common_impulse(planned, most, h)
+    yardstick = impulse_yardstick(common, typical_force(scene, kernel), plan.duration)
+    deepest = float((kernel.penetration(motion.q).max(axis=0) / np.array(scene.depths)).max())
     # A plan may use the whole depth, so what is below it is no difference.
     parts = [deepest if deepest > 1.0 else 0.0]
-    for name, excess in (("ghost_impulse", planned - most), ("missed_impulse", least - planned)):
+    for name, one, other in (("ghost_impulse", planned, most), ("missed_impulse", least, planned)):
         own = scene.limit(name)
         limit = IMPULSE * yardstick if own is None else own.value
-        impulse = step * float(np.maximum(excess, 0.0).sum())
+        impulse = excess_impulse(one, other, h)
         if limit is not None and impulse > 0.0:
             parts.append(impulse / limit if limit > 0.0 else LOST)
     return max(parts)
-
-
-def _around(values: np.ndarray, choose: np.ufunc) -> np.ndarray:
-    before, after = np.vstack([values[:1], values[:-1]]), np.vstack([values[1:], values[-1:]])
-    return choose(choose(before, values), after)
-
-
-def _depths(scene: Scene, motion: Trajectory) -> np.ndarray:
-    return load_kernel(scene).penetration(motion.q).max(axis=0)

@@ -140,6 +140,8 @@ _ELSEWHERE = "A local optimum: start from another guess or a relaxed plan, or pl
 _LOOK = "Look at the error over time on the page of the run."
 _AWAY = "The plan itself does not reach the goal"
 _DEAR = "The plan costs more than the scene allows"
+_NOT_CONTACT = "The planned forces are not those of contact"
+_OTHER_MOTION = "Exact contact on the plan's own grid gives another motion"
 # (sentence, advice) by cause; other causes are metrics, named as such.
 _CAUSES = {
     "start_error": ("The plan does not start where the task starts", "Plan from the task's start."),
@@ -149,20 +151,12 @@ _CAUSES = {
         "The planned velocities leave their bounds",
         "Give the bounds to the method.",
     ),
-    "physics_scaled": ("Relaxed contact: the planned forces are not those of contact", _EXACT),
-    "contact_law_error": ("Relaxed contact: the planned forces are not those of contact", _EXACT),
-    "law_error": (
-        "Relaxed contact: exact contact on the plan's own grid gives another motion",
-        _EXACT,
-    ),
-    "discrete_terminal_position_error": (
-        "Relaxed contact: exact contact on the plan's own grid gives another motion",
-        _EXACT,
-    ),
-    "discrete_terminal_velocity_error": (
-        "Relaxed contact: exact contact on the plan's own grid gives another motion",
-        _EXACT,
-    ),
+    "physics_scaled": (_NOT_CONTACT, _EXACT),
+    "contact_law_error": (_NOT_CONTACT, _EXACT),
+    "contact_force_error": (_NOT_CONTACT, _EXACT),
+    "law_error": (_OTHER_MOTION, _EXACT),
+    "discrete_terminal_position_error": (_OTHER_MOTION, _EXACT),
+    "discrete_terminal_velocity_error": (_OTHER_MOTION, _EXACT),
     "force_sign_violation": (
         "A planned contact force pulls",
         "Bound the contact forces from below by zero.",
@@ -185,7 +179,17 @@ _CAUSES = {
         "The plan does not solve its own discrete equations",
         "Tighten the solver's tolerance.",
     ),
-    "relaxed contact": ("Relaxed contact: the inputs do not give the planned motion", _EXACT),
+    "relaxed contact": ("Relaxed contact: the plan's forces are not those of contact", _EXACT),
+    "scaled forces": (
+        "The planned forces are a multiple of those of contact",
+        "Check the unit of the forces and the stiffness of the contacts.",
+    ),
+    "few digits": ("The plan has too few digits", "Write the plan with more digits."),
+    "wrapped angles": ("An angle of the plan is wrapped", "Unwrap the angles (numpy.unwrap)."),
+    "declaration": (
+        "The plan holds with another declaration",
+        "Change the lines `# hold:` or `# scheme:` of the plan.",
+    ),
     "coarse grid": (
         "Coarse grid: contact is exact, but the time step is too long",
         "Take a smaller time step.",

@@ -5,14 +5,24 @@ limit_of(scene, "feedback_share")      # the scene's, else the default; None if 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 import numpy as np
 
-from models.trajectory import WINDOWS
 
-if TYPE_CHECKING:
-    from models.scene import Scene
+class Limited(Protocol):
+    """A scene or the map of an FMU: its coordinates and its own limits."""
+
+    @property
+    def coordinates(self) -> Sequence[Any]:
+        """Return the coordinates; each has a `nominal`."""
+        ...
+
+    def limit(self, metric: str, /) -> Any:
+        """Return the limit of a metric, None if not set. Raises nothing."""
+        ...
+
 
 # Largest deviation of the replay from the plan, in nominals.
 REPLAY_ERROR = 1e-2
@@ -24,7 +34,7 @@ FEEDBACK_SHARE = 0.25
 IMPULSE = 0.01
 
 
-def replay_limits(scene: Scene) -> np.ndarray:
+def replay_limits(scene: Limited) -> np.ndarray:
     """Return the largest deviation of each position of the replay, (nq,) [m or rad].
 
     Infinite if it is waived. Raises nothing.
@@ -35,26 +45,7 @@ def replay_limits(scene: Scene) -> np.ndarray:
     return np.full(len(nominals), np.inf if own.value is None else own.value)
 
 
-def impulse_yardstick(common: float, typical_force: float, duration: float) -> float:
-    """Return the impulse by which differences of contact are measured [N s].
-
-    Parameters
-    ----------
-    common
-        Impulse that plan and replay have in common [N s].
-    typical_force
-        Typical force of the scene's contacts [N].
-    duration
-        Duration of the plan [s].
-
-    Raises
-    ------
-    Nothing.
-    """
-    return max(typical_force * duration / WINDOWS, common)
-
-
-def limit_of(scene: Scene, metric: str) -> float | None:
+def limit_of(scene: Limited, metric: str) -> float | None:
     """Return the limit of a metric: the scene's, else the default; None if waived or not set."""
     own = scene.limit(metric)
     if own is not None:

@@ -105,7 +105,9 @@ def known_motion_limits(energy: str) -> tuple[Limit, ...]:
     known = "the continuous motion is known exactly: a replay that is further off than the tolerance of a closed form is wrong"
     evaluated = "the time step is evaluated, not solved for: only rounding is left"
     return limits(
-        answer_error=(1.0, known), energy_residual=(1e-8, energy), defect=(1e-9, evaluated)
+        answer_error=(1.0, known),
+        energy_residual_relative=(1e-8, energy),
+        defect=(1e-9, evaluated),
     )
 
 

@@ -52,7 +52,6 @@ _METRICS_LAST = (
     "max_penetration",
     "ghost_impulse",
     "missed_impulse",
-    "energy_residual",
 )
 # Metrics of the replay with feedback.
 _METRICS_FEEDBACK = (

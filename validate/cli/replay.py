@@ -250,6 +250,7 @@ def _told(judgement: Judgement, warnings: list[str]) -> dict[str, Any]:
         "subject": judgement.scene.name,
         "verdict": result.verdict.value,
         "why": result.why,
+        "cause": {"code": result.cause, "fields": dict(result.cause_fields)},
         "judged": result.judged,
         "questions": [
             {"number": question.number, "question": question.value, "answer": answer}

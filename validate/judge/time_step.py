@@ -30,6 +30,7 @@ from models.scene import Scene
 from models.schemes import Scheme, tableau
 from models.trajectory import Trajectory
 from validate.judge.printed import columns_rounding
+from validate.judge.score.measures import LEAST_ORDER
 
 Step: TypeAlias = Callable[
     [np.ndarray, np.ndarray, np.ndarray, float, Mapping[str, float]], tuple[Any, Any]
@@ -44,8 +45,6 @@ _DIVISORS = (1, 5, 25)
 _STEPS = 40
 # Starts of the energy test, each with other positions and velocities.
 _STARTS = 3
-# Halfway between an error that stays (order 0) and the lowest order of a right step (1).
-_LEAST_ORDER = 0.5
 # An energy error below this share of the energy turned over is the error of a nonlinear solve.
 _ROUNDING = 1e-9
 
@@ -79,7 +78,7 @@ class EnergyTest:
     @property
     def vanishes(self) -> bool:
         """Return whether the energy error vanishes with the step."""
-        return self.order >= _LEAST_ORDER
+        return self.order >= LEAST_ORDER
 
     @property
     def sentence(self) -> str:

@@ -100,7 +100,7 @@ def test_why_a_run_has_its_verdict():
     )
     found = decision_of(run)
     assert (found.question.number, found.metric) == (3, bad)
-    assert not unsaid(found.cause, "Relaxed contact: … not those of contact. It is too much.")
+    assert not unsaid(found.cause, "The planned forces are not those of contact. It is too much.")
     assert not unsaid(found.advice, "Tighten the solver's tolerance")
     good = decision_of(
         ran("a", judged("x", 0.5, question=2, limit=1.0, ok=True), cost=None, why="").model_copy(

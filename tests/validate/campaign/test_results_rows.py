@@ -37,7 +37,7 @@ _FIRST = (
     "terminal_error", "physics", "physics_scaled", "defect", "discrete_terminal_error",
     "replay_terminal_error", "replay_terminal_position_error",
     "replay_terminal_velocity_error", "replay_error", "max_penetration", "ghost_impulse",
-    "missed_impulse", "energy_residual",
+    "missed_impulse",
     "tracked_replay_terminal_error", "tracked_replay_error", "feedback_effort", "feedback_share",
 )  # fmt: skip
 METRICS = (*_FIRST, *(name for name in metric_names() if name not in (*_FIRST, "cost")))

@@ -27,6 +27,7 @@ from models.collocation import lowest_between, penetration_rates
 from models.errors import TrajectoryError
 from models.fmu import build_fmu
 from models.scene import Scene
+from models.scene.default_limits import replay_limits
 from models.scene.goal import distance, goal_state
 from models.trajectory import Trajectory
 from validate.fmi.description import FmuError, Package, read_package, unpacked
@@ -51,7 +52,6 @@ from validate.judge.replay.wiring import Feedback, HeldInputs, Variables, World,
 from validate.judge.robustness.worlds import moved, nominal_world, perturbations
 from validate.judge.score import Score
 from validate.judge.score.evidence import Evidence
-from validate.judge.score.measures import replay_limits
 from validate.processes.isolated import IsolatedCalls
 
 # Internal steps per plan step: the coarsest that ends near the reference is used, else the last.

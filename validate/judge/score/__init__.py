@@ -10,10 +10,9 @@ The score uses the plan and its replay, not the method.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -23,11 +22,13 @@ from models.scene import Scene
 from models.trajectory import Hold, Trajectory
 from validate.judge.replay.result import Replay
 from validate.judge.replay.subject import Subject
-from validate.judge.score.cause import ScoredPlan, cause_of, explain
+from validate.judge.score.cause import ScoredPlan
 from validate.judge.score.evidence import Evidence
-from validate.judge.score.measures import MEASURES, halved, is_relaxed, times_the_law
-from validate.judge.score.table import FEEDBACK, FOLLOWED, GROWTH, TABLE, Measured, MetricEntry
+from validate.judge.score.measures import MEASURES
+from validate.judge.score.sentence import explain
+from validate.judge.score.table import EXPLAINING, FEEDBACK, FOLLOWED, TABLE, Measured, MetricEntry
 from validate.judge.score.verdict import (
+    Answer,
     Contradicted,
     LeavesBounds,
     Metric,
@@ -60,24 +61,19 @@ _NEEDS = {
     "no scheme": "the plan declares a scheme, whose own equations are asked instead",
 }
 
-_NAMES = tuple(entry.name for entry in (*TABLE, *GROWTH, *FOLLOWED))
+_NAMES = tuple(entry.name for entry in (*TABLE, *FOLLOWED, *EXPLAINING))
 
-# Advice for a limit on a metric that is only shown.
-_INSTEAD = {
-    name: f"limit {name.removesuffix('error')}position_error and {name.removesuffix('error')}velocity_error, each with its reason."
-    for name in ("terminal_error", "replay_terminal_error", "discrete_terminal_error")
-} | {
-    "physics": "limit physics_scaled.",
-    "cost": "limit replay_cost, the cost of the true motion.",
-    "grid_error": "limit replay_error, which it explains.",
+# Metrics that are shown, not judged, and what may be limited instead.
+_SHOWN = {entry.name: "" for entry in (*TABLE, *EXPLAINING) if entry.question is Question.SHOWN} | {
+    "physics": "physics_scaled",
+    "cost": "replay_cost, the cost of the true motion",
+    "grid_error": "replay_error, which it explains",
 }
 
 
 def metric_names() -> tuple[str, ...]:
     """Return every metric that a scene may limit, in the order of the table."""
-    return tuple(entry.name for entry in TABLE) + tuple(
-        entry.name for entry in FEEDBACK if entry.default is not None
-    )
+    return tuple(entry.name for entry in (*TABLE, *FEEDBACK))
 
 
 def check_limits(scene: Subject, file: Path | None = None) -> None:
@@ -88,26 +84,17 @@ def check_limits(scene: Subject, file: Path | None = None) -> None:
             raise SceneError(
                 f"{where}: answer {answer.quantity!r} is measured by {answer.measure!r}, but the measures are {', '.join(MEASURES)}."
             )
-    for limit in scene.limits:
-        shown = next(
-            (
-                entry
-                for entry in TABLE
-                if entry.name == limit.metric and entry.question is Question.SHOWN
-            ),
-            None,
-        )
-        if shown is not None:
-            raise SceneError(
-                f"{where}: there is a limit on {limit.metric}, which is shown, not judged; {_INSTEAD.get(limit.metric, 'leave it out.')}"
-            )
-        if limit.metric not in metric_names():
-            hint = did_you_mean(
-                limit.metric, metric_names(), f"the metrics are {', '.join(metric_names())}."
-            )
-            raise SceneError(
-                f"{where}: there is a limit on {limit.metric!r}, which is no metric; {hint}"
-            )
+    for name in (limit.metric for limit in scene.limits):
+        there = f"{where}: there is a limit on {name}"
+        if name in _SHOWN:
+            part, other = name.removesuffix("error"), _SHOWN[name]
+            if name.endswith("terminal_error"):
+                other = f"{part}position_error and {part}velocity_error, each with its reason"
+            advice = f"limit {other}." if other else "leave it out."
+            raise SceneError(f"{there}, which is shown, not judged; {advice}")
+        if name not in (names := metric_names()):
+            hint = did_you_mean(name, names, f"the metrics are {', '.join(names)}.")
+            raise SceneError(f"{there}, which is no metric; {hint}")
 
 
 def score(
@@ -129,106 +116,85 @@ def score(
     trajectory.check_fits(scene)  # type: ignore[arg-type] - a foreign model answers what a scene answers
     if replay is not None:
         _check_belongs(scene, trajectory, replay)
-    effort = replay.tracked.effort if replay is not None and replay.tracked is not None else None
-    growth = replay.growth if replay is not None else None
-    known = (
-        *TABLE,
-        *(GROWTH if growth is not None else ()),
-        *(FOLLOWED if effort is not None else ()),
-    )
+    followed = bool(replay and replay.tracked and replay.tracked.effort)
+    known = (*TABLE, *(FOLLOWED if followed else ()))
     rows = [entry for entry in known if entry.applies(scene)]
-    scored, judged = _scored(scene, trajectory, replay, rows, followed=effort is not None)
-    metrics = tuple(scored.metrics.values())
-    verdict = _of_what_is_asked(scene, trajectory, scored.verdict, metrics)
+    case = Evidence(scene, trajectory, replay)
+    metrics = {entry.name: _metric(entry, case) for entry in rows}
+    verdict, answers, judged = decide(tuple(metrics.values()), followed)
+    verdict = _of_what_is_asked(scene, trajectory, verdict, tuple(metrics.values()))
+    not_asked = _not_asked(scene, rows, tuple(metrics.values()))
+    if verdict in (Verdict.VIOLATES, Verdict.HOLDS_WITH_FEEDBACK):
+        explaining = [entry for entry in EXPLAINING if entry.applies(scene)]
+        metrics |= {entry.name: _metric(entry, case) for entry in explaining}
     waived = tuple(
         f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None
     )
-    held = Hold.LINEAR if trajectory.hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER
-    by_hold = (
-        other_hold is not None
-        and other_hold.ok
-        and score(scene, replace(trajectory, hold=held), other_hold).verdict is Verdict.HOLDS
-    )
-    scored = replace(scored, verdict=verdict, waived=waived, other_hold=by_hold)
+    scored = ScoredPlan(
+        case=case, metrics=metrics, verdict=verdict, questions=answers, waived=waived,
+        holds_as=_holds_as(case, verdict, answers, other_hold),
+    )  # fmt: skip
+    why, cause = explain(scored)
     return Score(
-        metrics=metrics, verdict=verdict, why=explain(scored), cause=cause_of(scored),
+        metrics=tuple(metrics.values()), verdict=verdict, why=why,
+        cause=cause.code if cause else "", cause_fields=cause.fields if cause else {},
         judged=judged, waived=waived,
-        questions=tuple(scored.questions.items()), not_asked=_not_asked(scene, rows, metrics),
-        names=_NAMES,
+        questions=tuple(answers.items()), not_asked=not_asked, names=_NAMES,
     )  # fmt: skip
 
 
-def _scored(
-    scene: Subject,
-    plan: Trajectory,
-    replay: Replay | None,
-    rows: list[MetricEntry],
-    *,
-    followed: bool,
-) -> tuple[ScoredPlan, Literal["open", "feedback"]]:
-    case = Evidence(scene, plan, replay)
-    metrics = {entry.name: _metric(entry, case) for entry in rows}
-    verdict, answers, judged = decide(tuple(metrics.values()), followed)
-    return ScoredPlan(
-        scene=scene, trajectory=plan, replay=replay, metrics=metrics, verdict=verdict,
-        questions=answers,
-        halved=partial(halved, case), times_the_law=partial(times_the_law, case),
-        is_relaxed=partial(is_relaxed, case),
-    ), judged  # fmt: skip
+def _holds_as(
+    case: Evidence, verdict: Verdict, answers: Mapping[Question, Answer], other_hold: Replay | None
+) -> str:
+    """Return another declaration with which the plan holds, or ""."""
+    plan, replay, declared = case.trajectory, case.replayed, ""
+    if other_hold is not None and other_hold.ok:
+        hold = Hold.LINEAR if plan.hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER
+        declared = f"`# hold: {'linear' if hold is Hold.LINEAR else 'zero'}`"
+        plan, replay = replace(plan, hold=hold), other_hold
+    elif verdict is Verdict.VIOLATES and plan.scheme and answers[Question.MOTION] == "yes":
+        plan, declared = replace(plan, scheme=None), "no `# scheme:`"
+    holds = declared and score(case.scene, plan, replay).verdict is Verdict.HOLDS
+    return declared if holds else ""
 
 
 # Metrics that a plan must satisfy to hold: goal and cost.
-_ASKING = frozenset(
-    (
-        "replay_cost",
-        *(
-            f"{of}terminal_{part}_error"
-            for of in ("", "replay_")
-            for part in ("position", "velocity")
-        ),
-    )
-)
+_ASKING = ("terminal_", "replay_terminal_", "replay_cost")
 
 
 def _of_what_is_asked(
     scene: Subject, plan: Trajectory, verdict: Verdict, metrics: tuple[Metric, ...]
 ) -> Verdict:
     """Return the verdict of a plan without goal or cost: consistent, or not applicable."""
-    if not verdict.is_good or any(metric.is_judged for metric in metrics if metric.name in _ASKING):
+    asked = any(metric.is_judged and metric.name.startswith(_ASKING) for metric in metrics)
+    if asked or not verdict.is_good:
         return verdict
-    claims = (
-        plan.has_states
-        or (scene.nc > 0 and "lam" not in plan.missing)
-        or (scene.nf > 0 and "friction" not in plan.missing)
-    )
-    return Verdict.CONSISTENT if claims else Verdict.NOT_APPLICABLE
+    groups = {"lam": scene.nc, "friction": scene.nf}
+    forces = any(count and group not in plan.missing for group, count in groups.items())
+    return Verdict.CONSISTENT if plan.has_states or forces else Verdict.NOT_APPLICABLE
 
 
 def _check_belongs(scene: Subject, trajectory: Trajectory, replay: Replay) -> None:
+    t, nodes = trajectory.t, replay.t[replay.knots]
+    wrong = ""
     if replay.scene != scene.name:
-        raise TrajectoryError(
-            f"replay: it is of scene {replay.scene}, but the plan is judged as one of {scene.name}."
-        )
-    if replay.ok and (
-        len(replay.knots) != len(trajectory.t) or not (replay.t[replay.knots] == trajectory.t).all()
-    ):
-        raise TrajectoryError(
-            f"replay: its {len(replay.knots)} nodes are not the {len(trajectory.t)} of the plan; it is the replay of another plan."
-        )
+        wrong = f"it is of scene {replay.scene}, but the plan is judged as one of {scene.name}."
+    elif replay.ok and not np.array_equal(nodes, t):
+        wrong = f"its {len(nodes)} nodes are not the {len(t)} of the plan; it is the replay of another plan."
+    if wrong:
+        raise TrajectoryError(f"replay: {wrong}")
 
 
 def _why_not_asked(entry: MetricEntry, case: Evidence) -> str:
     """Return why a metric does not apply to a plan, or ""."""
-    plan, scene = case.trajectory, case.scene
+    plan, counts = case.trajectory, {"friction": case.scene.nf, "lam": case.scene.nc}
+    # A scheme needs forces; without them the plan is judged as one without a scheme.
+    absent = {"no scheme" if plan.scheme else "scheme", *plan.missing}
     for need in entry.needs:
-        # A scheme needs forces; without them the plan is judged as one without a scheme.
-        absent = {
-            "scheme": plan.scheme is None, "no scheme": plan.scheme is not None,
-        }.get(need, need in plan.missing)  # fmt: skip
-        if (need == "friction" and not scene.nf) or (need == "lam" and not scene.nc):
-            absent = False
-        if absent:
-            return f"{_NEEDS[need]}{'; the replayed motion touches no contact' if need == 'lam' and case.touches_nothing else ''}."
+        if need in absent and counts.get(need, 1):
+            untouched = need == "lam" and case.touches_nothing
+            more = "; the replayed motion touches no contact" if untouched else ""
+            return f"{_NEEDS[need]}{more}."
     return ""
 
 
@@ -237,18 +203,12 @@ def _not_asked(
 ) -> tuple[str, ...]:
     by_reason: dict[str, list[str]] = {}
     for entry, metric in zip(rows, metrics, strict=True):
-        if (
-            entry.question not in (Question.SHOWN, Question.JUDGE)
-            and metric.value is None
-            and metric.limit is None
-            and metric.reason
-        ):
+        is_empty = metric.value is None and metric.limit is None
+        is_asked = entry.question not in (Question.SHOWN, Question.JUDGE)
+        if is_empty and is_asked and not metric.reason.startswith(_NEEDS["no scheme"]):
             by_reason.setdefault(metric.reason, []).append(metric.name)
-    sentences = [
-        f"{', '.join(names)}: {reason}"
-        for reason, names in by_reason.items()
-        if not reason.startswith(_NEEDS["no scheme"])
-    ]
+    by_reason.pop("", None)
+    sentences = [f"{', '.join(names)}: {reason}" for reason, names in by_reason.items()]
     return (*sentences, *getattr(scene, "not_asked", ()))
 
 
@@ -262,84 +222,56 @@ def _worst(
     if not isinstance(measured, Measured):
         value, error = measured if isinstance(measured, tuple) else (measured, 0.0)
         measured = Measured(values=value, error=error)
-    values = np.atleast_1d(np.asarray(measured.values, dtype=float))
-    parts = [
-        np.broadcast_to(np.asarray(part, dtype=float), values.shape)
-        for part in (measured.error, measured.scales, measured.allowed)
-    ]
-    _, scales, allowed = parts
+    given = measured.values, measured.error, measured.scales, measured.allowed
+    parts = np.broadcast_arrays(*(np.atleast_1d(np.asarray(part, dtype=float)) for part in given))
+    values, _, scales, allowed = parts
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.nan_to_num((values - allowed) / scales, nan=-np.inf)
     place = int(np.argmax(values if limited else relative))
-    error, scale, allows = (float(part[place]) for part in parts)
     is_norm = len(values) == 1 < len(units)
-    return (
-        float(values[place]),
-        error,
-        scale,
-        allows,
-        units[place] if place < len(units) and not is_norm else None,
-    )
+    unit = None if is_norm or place >= len(units) else units[place]
+    value, error, scale, allows = (float(part[place]) for part in parts)
+    return value, error, scale, allows, unit
 
 
 def _metric(entry: MetricEntry, case: Evidence) -> Metric:
-    scene_limit = case.scene.limit(entry.limited_by)
+    own = case.scene.limit(entry.limited_by)
     empty = Metric(
-        name=entry.name,
-        question=entry.question,
-        value=None,
-        unit=entry.unit(case.scene),
-        meaning=entry.meaning,
-    )
+        name=entry.name, question=entry.question, value=None, unit=entry.unit(case.scene),
+        meaning=entry.meaning, default=own is None or own.value is None,
+    )  # fmt: skip
     if absent := _why_not_asked(entry, case):
         return replace(empty, reason=absent)
-    waived = scene_limit is not None and scene_limit.value is None
-    judged = (
-        entry.question is not Question.SHOWN
-        and not waived
-        and (scene_limit is not None or entry.default is not None)
-    )
+    waived = own is not None and own.value is None
     # A default limit is a factor of the scale, a scene's limit an absolute number.
-    stated, reason = (
-        (scene_limit.value, scene_limit.reason)
-        if scene_limit is not None and scene_limit.value is not None
-        else entry.default or (0.0, "")
-    )
+    stated, reason = entry.default or (math.inf, "")
+    if own is not None and own.value is not None:
+        stated, reason = own.value, own.reason
+    judged = entry.question is not Question.SHOWN and not waived and math.isfinite(stated)
     try:
         # Beyond its stability limit the plan's own step may overflow; that is rejected below.
         with np.errstate(over="ignore", invalid="ignore"):
             value, error, scale, allowed, unit = _worst(
-                entry.measure(case), entry.units(case.scene), scene_limit is not None and not waived
+                entry.measure(case), entry.units(case.scene), not empty.default
             )
         if not math.isfinite(value):
             raise LeavesBounds("the metric is too large to be a number.")
     except (Unmeasured, KernelError) as missing:
-        beyond, unmeasured = isinstance(missing, LeavesBounds), replace(empty, reason=str(missing))
-        if not judged or not (
-            beyond or isinstance(missing, Contradicted) or _can_be_asked(entry, case)
-        ):
-            return unmeasured
-        return replace(
-            unmeasured, limit=stated, ok=False if beyond else None, default=scene_limit is None
-        )
+        unmeasured, beyond = replace(empty, reason=str(missing)), isinstance(missing, LeavesBounds)
+        is_open = beyond or isinstance(missing, Contradicted) or _can_be_asked(entry, case)
+        if not judged or not is_open:
+            return replace(unmeasured, default=True)
+        return replace(unmeasured, limit=stated, ok=False if beyond else None)
     measured = replace(empty, value=value, error=error, unit=unit or empty.unit)
-    if not judged:
-        return replace(
-            measured, reason=scene_limit.reason if scene_limit is not None and waived else ""
-        )
-    bound = (stated if scene_limit is not None else stated * scale) + allowed
-    if not math.isfinite(bound):
-        return measured
-    return measured.held_to(bound, reason, default=scene_limit is None)
+    bound = (stated * scale if empty.default else stated) + allowed
+    if not judged or not math.isfinite(bound):
+        why = own.reason if own is not None and waived else ""
+        return replace(measured, reason=why, default=True)
+    return measured.held_to(bound, reason, default=empty.default)
 
 
 def _can_be_asked(entry: MetricEntry, case: Evidence) -> bool:
     """Return whether an unmeasured metric leaves a question open; on external FMUs it does not."""
-    if isinstance(case.scene, Scene):
-        return True
-    try:
-        if entry.of_replay:
-            case.replay  # noqa: B018 - a failed replay leaves everything open
-    except Unmeasured:
-        return True
-    return False
+    if isinstance(case.scene, Scene) or not entry.of_replay:
+        return isinstance(case.scene, Scene)
+    return case.replayed is None or not case.replayed.ok

@@ -75,15 +75,6 @@ def largest_difference(one: np.ndarray, other: np.ndarray) -> tuple[float, int]:
     return float(worst[node]), node
 
 
-def excess_impulse(lam: np.ndarray, other: np.ndarray, h: np.ndarray) -> float:
-    """Return the impulse of one force without the other, sum of h max(lam - other, 0) [N s].
-
-    Ghost impulse: the plan's over the largest of `force_window`; missed impulse: its least over the
-    plan's. lam, other: (steps, nc) [N]; h: (steps,) [s]. Raises ValueError.
-    """
-    return float((h[:, None] * np.maximum(lam - other, 0.0)).sum())
-
-
 def friction_dissipation_error(
     friction: np.ndarray, least: np.ndarray, most: np.ndarray, slip: np.ndarray
 ) -> np.ndarray:
@@ -105,25 +96,3 @@ def energy_residual(
     energy E: (n,), with contact energy; works: (n,) since the start [J]. Raises ValueError.
     """
     return float(np.abs(energy - energy[0] - input_work + dissipated_work).max())
-
-
-def energy_turnover(
-    kinetic: np.ndarray,
-    potential: np.ndarray,
-    contact: np.ndarray,
-    input_work: np.ndarray,
-    dissipated_work: np.ndarray,
-) -> float:
-    """Return the energy turned over [J]: largest of kinetic, contact, range of potential, works.
-
-    All (n,) [J]. Raises ValueError without rows.
-    """
-    return float(
-        max(
-            kinetic.max(),
-            contact.max(),
-            np.ptp(potential),
-            np.abs(input_work).max(),
-            np.abs(dissipated_work).max(),
-        )
-    )

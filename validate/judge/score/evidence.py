@@ -5,7 +5,8 @@ A KernelError of the compiled functions counts as Unmeasured in the score.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import cached_property
 
 import numpy as np
@@ -17,8 +18,9 @@ from models.codegen.kernel import Kernel, load_kernel
 from models.dynamics import derive
 from models.scene import Scene
 from models.scene.contacts import DampingLaw
-from models.scene.default_limits import impulse_yardstick
+from models.scene.default_limits import replay_limits
 from models.scene.goal import goal_state
+from models.scene.impulses import common_impulse, force_window, impulse_yardstick
 from models.scene.typical_force import typical_force
 from models.schemes import Scheme
 from models.trajectory import Trajectory
@@ -26,12 +28,7 @@ from validate.judge.printed import columns_rounding
 from validate.judge.replay.result import Difference, Replay, ReplayOutcome
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.wiring import HeldInputs
-from validate.judge.score.forces import (
-    by_convention,
-    force_window,
-    least_slip,
-    within_steps,
-)
+from validate.judge.score.forces import by_convention, cubic, least_slip, within_steps
 from validate.judge.score.verdict import LeavesBounds, Unmeasured
 
 # Gauss-Legendre points and weights on (0, 1), exact for squares of cubics.
@@ -39,12 +36,16 @@ _POINTS, _WEIGHTS = (
     part / 2.0 + shift for part, shift in zip(leggauss(4), (0.5, 0.0), strict=True)
 )
 
+_HALVINGS = 7
+# A halving with a relative change below this is idle; after two the rest is not the grid's error.
+_IDLE = 0.01
+
 
 class Evidence:
     """Arrays by the symbols of the equations, each computed once."""
 
     def __init__(self, scene: Subject, trajectory: Trajectory, replay: Replay | None) -> None:
-        self.scene, self.trajectory, self._replay = scene, trajectory, replay
+        self.scene, self.trajectory, self.replayed = scene, trajectory, replay
         # Motions by parts of a step; collocation takes 7 s, and several metrics need the same motion.
         self._own_motions: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
@@ -77,12 +78,12 @@ class Evidence:
     def q(self) -> np.ndarray:
         """Return the plan's positions (nodes, nq) [m or rad]. Raises Unmeasured if missing."""
         self.need("q")
-        self._must_say("q", "positions", [item.name for item in self.scene.coordinates])
-        return self.trajectory.q
+        return self._stated("q", "positions", self.trajectory.q)
 
-    def _must_say(self, group: str, words: str, columns: Sequence[str]) -> None:
+    def _stated(self, group: str, words: str, values: np.ndarray) -> np.ndarray:
         if group in self.trajectory.missing:
-            raise Unmeasured(f"the plan does not say its {words} ({', '.join(columns)}).")
+            raise Unmeasured(f"the plan does not say its {words}.")
+        return values
 
     @cached_property
     def goal(self) -> np.ndarray:
@@ -105,16 +106,12 @@ class Evidence:
         h, nodes, held = np.diff(t)[:, None], self.trajectory.t, self.held_inputs
         step = np.clip(np.searchsorted(nodes, t[:-1], side="right") - 1, 0, len(u) - 1)
         first = u[step] + held.slopes[step] * (t[:-1] - nodes[step])[:, None]
-        moved, begins, ends = np.diff(q, axis=0), h * v[:-1], h * v[1:]
+        begins, ends = h * v[:-1], h * v[1:]
         if self.equations.relaxation_index is not None:
-            begins = ends = moved
+            begins = ends = np.diff(q, axis=0)
         cost = self._final_cost(q[-1], v[-1])
         for s, weight in zip(_POINTS, _WEIGHTS, strict=True):
-            place = q[:-1] + s * begins
-            place += s**2 * (3.0 * moved - 2.0 * begins - ends)
-            place += s**3 * (begins + ends - 2.0 * moved)
-            speed = begins + 2.0 * s * (3.0 * moved - 2.0 * begins - ends)
-            speed += 3.0 * s**2 * (begins + ends - 2.0 * moved)
+            place, speed = cubic(q, begins, ends, s)
             speed = np.divide(speed, h, out=v[:-1].copy(), where=h > 0.0)
             rate = self._running_cost(place, speed, first + s * h * held.slopes[step])
             cost += weight * float(h[:, 0] @ rate) / self.scene.task.step
@@ -173,15 +170,12 @@ class Evidence:
             return k, np.zeros_like(k)
         d, depth = derive(scene), np.maximum(-self.replay_gap, 0.0)
         c = d.function(d.damping)().ravel()
-        is_linear = np.array(
-            [contact.damping_law is DampingLaw.KELVIN_VOIGT for contact in scene.contacts]
-        )
-        share = np.divide(
-            self.replay.lam, k * depth, out=np.zeros_like(depth), where=depth > 0.0
-        ).max(axis=0)  # Hunt-Crossley: 1 + d phi'
-        return np.where(is_linear, k, k * np.maximum(share, 1.0)), np.where(
-            is_linear, c, c * k * depth.max(axis=0)
-        )
+        laws = [contact.damping_law for contact in scene.contacts]
+        linear = np.array([law is DampingLaw.KELVIN_VOIGT for law in laws])
+        pressed, none = depth > 0.0, np.zeros_like(depth)
+        share = np.divide(self.replay.lam, k * depth, out=none, where=pressed).max(axis=0)
+        by_depth = np.where(linear, k, k * np.maximum(share, 1.0))  # Hunt-Crossley: 1 + d phi'
+        return by_depth, np.where(linear, c, c * k * depth.max(axis=0))
 
     @cached_property
     def length(self) -> np.ndarray:
@@ -192,18 +186,6 @@ class Evidence:
     def lam(self) -> np.ndarray:
         """Return the plan's contact forces (steps, nc) [N], zero if missing. Raises nothing."""
         return self.trajectory.lam[:, : self.scene.nc]
-
-    @property
-    def planned_impulse(self) -> float:
-        """Return the sum of h |lam| [N s]."""
-        return float((self.h[:, None] * np.abs(self.lam)).sum())
-
-    @cached_property
-    def law(self) -> np.ndarray:
-        """Return the true contact forces (nodes, nc) [N]. Raises Unmeasured."""
-        return self.kernel.contact_force(
-            self.q, v=self.trajectory.v if self.equations.damped else None
-        )
 
     @cached_property
     def typical_force(self) -> float:
@@ -224,13 +206,9 @@ class Evidence:
     @cached_property
     def law_within(self) -> np.ndarray:
         """Return the true contact forces (parts, steps, nc) [N] in steps. Raises Unmeasured."""
-        damped = self.equations.damped
-        return np.array(
-            [
-                self.kernel.contact_force(q, v=v if damped else None)
-                for q, v in zip(*self.within_steps, strict=True)
-            ]
-        )
+        damped, pairs = self.equations.damped, zip(*self.within_steps, strict=True)
+        forces = [self.kernel.contact_force(q, v=v if damped else None) for q, v in pairs]
+        return np.array(forces)
 
     @cached_property
     def laws(self) -> dict[str, np.ndarray]:
@@ -239,9 +217,9 @@ class Evidence:
 
     @property
     def _replayed_means(self) -> np.ndarray | None:
-        if self._replay is None or not self._replay.ok or self._replay.contact_impulse is None:
+        if self.replayed is None or not self.replayed.ok or self.replayed.contact_impulse is None:
             return None
-        impulses = np.diff(self._replay.contact_impulse[self._replay.knots], axis=0)
+        impulses = np.diff(self.replayed.contact_impulse[self.replayed.knots], axis=0)
         return impulses / np.diff(self.trajectory.t)[:, None]
 
     @cached_property
@@ -255,16 +233,12 @@ class Evidence:
     @cached_property
     def rounding_of_law(self) -> np.ndarray:
         """Return the change (steps, nc) [N] of forces by rounding of q. Raises Unmeasured."""
-        d, rounding = derive(self.equations), self.rounding["q"]
-        if not rounding.any():
-            return np.zeros_like(self.lam)
-        jacobian = d.function(d.gap_jacobian, d.q)
-        moved = np.array(
-            [
-                np.abs(jacobian(q).reshape(self.scene.nc, -1)) @ r
-                for q, r in zip(self.q, rounding, strict=True)
-            ]
-        )
+        moved = np.zeros((len(self.q), self.scene.nc))
+        for unit, rounding in zip(np.eye(self.scene.nq), self.rounding["q"].T, strict=True):
+            if rounding.any():
+                along = np.broadcast_to(unit, self.q.shape)
+                rates = collocation.penetration_rates(self.kernel, self.q, along)
+                moved += np.abs(rates) * rounding[:, None]
         return self.k * np.maximum(moved[:-1], moved[1:])
 
     @cached_property
@@ -279,11 +253,10 @@ class Evidence:
         except Unmeasured:
             lam = np.maximum(self.replay.lam[:, : self.scene.nc], 0.0)
             replayed = ((lam[:-1] + lam[1:]) / 2.0 * self.duration[:, None]).sum()
-            return max(self.planned_impulse, float(replayed))
-        try:
-            common = float(self.h @ np.minimum(np.abs(self.lam), self.force_window[1]).sum(axis=1))
-        except Unmeasured:
-            common = 0.0
+            return max(float((self.h @ np.abs(self.lam)).sum()), float(replayed))
+        common = 0.0
+        with suppress(Unmeasured):
+            common = common_impulse(self.lam, self.force_window[1], self.h)
         return impulse_yardstick(common, force, self.trajectory.duration)
 
     @cached_property
@@ -309,28 +282,22 @@ class Evidence:
     @cached_property
     def printing_acceleration(self) -> float:
         """Return the change of accelerations by random rounding of the plan."""
-        plan, size = self.trajectory, self.rounding
+        plan, size, random = self.trajectory, self.rounding, np.random.default_rng(0)
         if not any(part.any() for part in size.values()):
             return 0.0
-        random = np.random.default_rng(0)
 
         def acceleration(scale: float) -> np.ndarray:
-            """Return accelerations (steps, nq) [m/s^2 or rad/s^2] with this share of rounding.
-
-            Raises KernelError.
-            """
-
-            def moved(group: str, values: np.ndarray) -> np.ndarray:
-                """Return values (steps, n) [unit of the group], rounded. Raises KeyError."""
-                signs = random.choice((-1.0, 1.0), size=values.shape)
-                return values + scale * size[group][: len(values)] * signs
-
-            q, v, u = moved("q", plan.q[:-1]), moved("v", plan.v[:-1]), moved("u", plan.u)
-            lam = plan.lam.copy()
-            lam[:, : self.scene.nc] = self.kernel.contact_force(
-                q, v=v if self.equations.damped else None
-            )
-            return self._of_steps(self.kernel.acceleration(q, v, u, moved("lam", lam)))
+            """Return accelerations (steps, nq) [m/s^2 or rad/s^2] with this share of rounding."""
+            groups = {"q": plan.q[:-1], "v": plan.v[:-1], "u": plan.u, "lam": plan.lam}
+            off = {
+                group: scale * size[group][: plan.steps] * random.choice((-1.0, 1.0), values.shape)
+                for group, values in groups.items()
+            }
+            q, v, u, lam = (values + off[group] for group, values in groups.items())
+            damped, nc = self.equations.damped, self.scene.nc
+            force = self.kernel.contact_force(q, v=v if damped else None)
+            lam[:, :nc] = force + off["lam"][:, :nc]
+            return self._of_steps(self.kernel.acceleration(q, v, u, lam))
 
         still = acceleration(0.0)
         return float(max(np.abs(acceleration(1.0) - still).max() for _ in range(3)))
@@ -348,7 +315,7 @@ class Evidence:
         """
         if isinstance(self.scene, Scene):
             return np.array(self.scene.task.start, dtype=float)
-        return np.concatenate([self.replay.q[0], self.replay.v[0]])
+        return np.append(self.replay.q[0], self.replay.v[0])
 
     @property
     def has_inertia(self) -> bool:
@@ -388,31 +355,21 @@ class Evidence:
     @cached_property
     def friction_excess(self) -> np.ndarray:
         """Return the excess (steps, nf) [N] of friction over mu N. Raises Unmeasured."""
-        limits = np.array(
-            [
-                np.maximum(self.kernel.friction_limit(q, lam), 0.0)
-                for q, lam in zip(self.within_steps[0], self.pressing, strict=True)
-            ]
-        )
-        more = self.rounding["lam"][:, : self.scene.nc] + (
-            self.rounding_of_law if self.scene.nc else 0.0
-        )
+        kernel, nc, q, rounding = self.kernel, self.scene.nc, self.q[:-1], self.rounding["lam"]
+        pairs = zip(self.within_steps[0], self.pressing, strict=True)
+        limits = np.array([np.maximum(kernel.friction_limit(*pair), 0.0) for pair in pairs])
         moved = self.trajectory.lam.copy()
-        moved[:, : self.scene.nc] = self.pressing[0][:, : self.scene.nc] + more
-        rounded = self.kernel.friction_limit(self.q[:-1], moved) - self.kernel.friction_limit(
-            self.q[:-1], self.pressing[0]
-        )
-        allowed = self.rounding["lam"][:, self.scene.nc :] + np.abs(rounded)
-        if self.trajectory.scheme is not None:
-            known = [limits[0]]
-        else:
-            candidates = by_convention(limits, None)
-            known = (
-                [candidates[self.convention]]
-                if self.convention in candidates
-                else [*candidates.values()]
-            )
-        over = [np.maximum(np.abs(self.friction) - limit - allowed, 0.0) for limit in known]
+        moved[:, :nc] = self.pressing[0][:, :nc] + rounding[:, :nc]
+        if nc:
+            moved[:, :nc] += self.rounding_of_law
+        rounded = kernel.friction_limit(q, moved) - kernel.friction_limit(q, self.pressing[0])
+        allowed = rounding[:, nc:] + np.abs(rounded)
+        known = {"start": limits[0]}
+        if self.trajectory.scheme is None:
+            known = by_convention(limits, None)
+            if self.convention in known:
+                known = {self.convention: known[self.convention]}
+        over = [np.maximum(np.abs(self.friction) - f - allowed, 0.0) for f in known.values()]
         return min(over, key=lambda excess: float(self.h @ excess.sum(axis=1)))
 
     @property
@@ -438,8 +395,7 @@ class Evidence:
     @property
     def v(self) -> np.ndarray:
         """Return the plan's velocities (nodes, nq) [m/s or rad/s]. Raises Unmeasured if missing."""
-        self._must_say("v", "velocities", [item.velocity_name for item in self.scene.coordinates])
-        return self.trajectory.v
+        return self._stated("v", "velocities", self.trajectory.v)
 
     def _of_steps(self, acceleration: np.ndarray) -> np.ndarray:
         """Return accelerations (steps, nq) of the plan's steps, at once without inertia."""
@@ -477,49 +433,54 @@ class Evidence:
         """
         if parts in self._own_motions:
             return self._own_motions[parts]
-        plan, u, steps = (
-            self.trajectory,
-            np.repeat(self.trajectory.u, parts, axis=0),
-            np.repeat(self.h / parts, parts),
-        )
+        plan, u = self.trajectory, np.repeat(self.trajectory.u, parts, axis=0)
+        steps = np.repeat(self.h / parts, parts)
         if plan.scheme not in (None, Scheme.SEMI_IMPLICIT_EULER):
             q, v, reached = collocation.rollout(self.kernel, plan.scheme, plan.start, u, steps)
-        elif (steps == steps[0]).all():
-            rollout = self.kernel.rollout(plan.start, u, float(steps[0]))
-            q, v, reached = rollout.q, rollout.v, rollout.finite_steps
-        else:
-            q, v = (
-                np.full((len(steps) + 1, self.scene.nq), np.nan),
-                np.full((len(steps) + 1, self.scene.nq), np.nan),
-            )
-            q[0], v[0], reached = plan.q[0], plan.v[0], 0
-            for step, h in enumerate(steps):
-                rollout = self.kernel.rollout(
-                    np.concatenate([q[step], v[step]]), u[step : step + 1], float(h)
-                )
+        else:  # one rollout for all steps of equal length in a row
+            q, v = (np.full((len(steps) + 1, self.scene.nq), np.nan) for _ in range(2))
+            (q[0], v[0]), reached = (plan.q[0], plan.v[0]), 0
+            starts = np.flatnonzero(np.diff(steps, prepend=np.nan) != 0.0)
+            for first, last in zip(starts, [*starts[1:], len(steps)], strict=True):
+                start = np.concatenate([q[first], v[first]])
+                rollout = self.kernel.rollout(start, u[first:last], float(steps[first]))
+                q[first : last + 1], v[first : last + 1] = rollout.q, rollout.v
+                reached = first + rollout.finite_steps
                 if rollout.diverged:
                     break
-                q[step + 1], v[step + 1], reached = rollout.q[1], rollout.v[1], step + 1
         if reached < len(steps):
             raise LeavesBounds(
                 f"with the true contact law the plan's own time step diverges at step {reached // parts} of {plan.steps}."
             )
-        return self._own_motions.setdefault(
-            parts, (q[::parts].copy(), v[::parts].copy())
-        )  # a view would keep all parts
+        # Copies: a view would keep all parts.
+        return self._own_motions.setdefault(parts, (q[::parts].copy(), v[::parts].copy()))
 
-    @property
-    def true_end(self) -> np.ndarray:
-        """Return the end of `true_motion` (2*nq,) [m or rad, per s]. Raises Unmeasured."""
-        q, v = self.true_motion
-        return np.concatenate([q[-1], v[-1]])
+    @cached_property
+    def grid_errors(self) -> list[float]:
+        """Return the discretisation errors [m or rad] of the plan's grid and its halvings.
+
+        The inputs are held. The list ends at a quarter of the limit on replay_error, after two idle
+        halvings, or seven. Raises Unmeasured.
+        """
+        near, errors, idle = float(replay_limits(self.scene).min()) / 4.0, [], 0
+        before = None
+        for halvings in range(_HALVINGS + 1):
+            q = self.own_motion(2**halvings)[0]
+            errors.append(float(np.abs(q - self.replay_q).max()))
+            if before is not None:
+                is_idle = np.abs(q - before).max() < _IDLE * (errors[-1] - near)
+                idle = idle + 1 if is_idle else 0
+            if errors[-1] <= near or idle == 2:
+                break
+            before = q
+        return errors
 
     @property
     def opened(self) -> Replay:
         """Return the open replay, even if it failed."""
-        if self._replay is None:
+        if self.replayed is None:
             raise Unmeasured("the plan was not replayed.")
-        return self._replay
+        return self.replayed
 
     @cached_property
     def tracked(self) -> Evidence:
@@ -543,13 +504,9 @@ class Evidence:
     @property
     def touches_nothing(self) -> bool:
         """Return whether the finished replay has gaps, and none closes."""
-        replay = self._replay
-        return (
-            replay is not None
-            and replay.ok
-            and replay.gap.size > 0
-            and bool((replay.gap > 0.0).all())
-        )
+        if self.replayed is None or not self.replayed.ok or not self.replayed.gap.size:
+            return False
+        return bool((self.replayed.gap > 0.0).all())
 
     @property
     def error(self) -> Difference:
@@ -566,27 +523,10 @@ class Evidence:
         return self.replay.q[self.replay.knots]
 
     @property
-    def end(self) -> np.ndarray:
-        """Return the plan's end (2*nq,) [m or rad, per s]. Raises Unmeasured.
-
-        Velocities are zero if the goal has none.
-        """
-        wants_v = np.isfinite(self.goal[self.scene.nq :]).any()
-        return np.concatenate([self.q[-1], self.v[-1] if wants_v else np.zeros(self.scene.nq)])
-
-    @property
     def replay_v(self) -> np.ndarray:
         """Return the replay's velocities (n, nq) [m/s or rad/s]. Raises Unmeasured."""
         self.need("v")
         return self.replay.v
-
-    @property
-    def replay_end(self) -> np.ndarray:
-        """Return the replay's end (2*nq,) [m or rad, per s]. Raises Unmeasured."""
-        self.need("q")
-        if np.isfinite(self.goal[self.scene.nq :]).any():
-            self.need("v")
-        return self.replay.end
 
     @property
     def replay_gap(self) -> np.ndarray:
@@ -601,13 +541,8 @@ class Evidence:
         Means are included, because a bounce between rows shows in none. Raises Unmeasured.
         """
         self.need("lam")
-        impulse, knots = self.replay.contact_impulse, self.replay.knots
-        mean = (
-            None
-            if impulse is None
-            else np.diff(impulse[knots], axis=0) / np.diff(self.trajectory.t)[:, None]
-        )
-        return force_window(self.replay.lam, self.step_of, self.trajectory.steps, mean)
+        lam, steps = self.replay.lam, self.trajectory.steps
+        return force_window(lam, self.step_of, steps, self._replayed_means)
 
     @cached_property
     def step_of(self) -> np.ndarray:

@@ -13,6 +13,20 @@ import numpy as np
 _POINTS = 17
 
 
+def cubic(
+    q: np.ndarray, begins: np.ndarray, ends: np.ndarray, s: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return place and its derivative by s (n-1, nq) of the cubics between rows, at a share s.
+
+    q: (n, nq) [m or rad]; begins, ends: derivatives by s at both ends, (n-1, nq). Raises ValueError
+    if the shapes do not fit.
+    """
+    moved = np.diff(q, axis=0)
+    squares, cubes = 3.0 * moved - 2.0 * begins - ends, begins + ends - 2.0 * moved
+    place = q[:-1] + s * begins + s**2 * squares + s**3 * cubes
+    return place, begins + 2.0 * s * squares + 3.0 * s**2 * cubes
+
+
 def within_steps(
     q: np.ndarray, v: np.ndarray, h: np.ndarray
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
@@ -21,13 +35,9 @@ def within_steps(
     q, v: (nodes, nq) [m or rad, m/s or rad/s]; h: (steps,) [s]. Raises ValueError if the shapes do
     not fit.
     """
-    h = h[:, None]
-    moved, begins, ends = np.diff(q, axis=0), h * v[:-1], h * v[1:]
-    squares, cubes = 3.0 * moved - 2.0 * begins - ends, begins + ends - 2.0 * moved
-    parts = np.linspace(0.0, 1.0, _POINTS)
-    places = [q[:-1] + s * begins + s**2 * squares + s**3 * cubes for s in parts]
-    speeds = [(begins + 2.0 * s * squares + 3.0 * s**2 * cubes) / h for s in parts]
-    return places, speeds
+    h, parts = h[:, None], np.linspace(0.0, 1.0, _POINTS)
+    found = [cubic(q, h * v[:-1], h * v[1:], s) for s in parts]
+    return [place for place, _ in found], [speed / h for _, speed in found]
 
 
 def by_convention(points: np.ndarray, replayed: np.ndarray | None) -> dict[str, np.ndarray]:
@@ -37,40 +47,9 @@ def by_convention(points: np.ndarray, replayed: np.ndarray | None) -> dict[str, 
     ValueError if the shapes do not fit.
     """
     mean = (points[:-1] + points[1:]).mean(axis=0) / 2.0
-    forces = {
-        "start": points[0],
-        "middle": points[len(points) // 2],
-        "end": points[-1],
-        "mean": mean,
-    }
+    middle = points[len(points) // 2]
+    forces = {"start": points[0], "middle": middle, "end": points[-1], "mean": mean}
     return forces if replayed is None else {**forces, "mean of the replay": replayed}
-
-
-def force_window(
-    lam: np.ndarray, step_of: np.ndarray, steps: int, mean: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return least and largest forces of a replay, (steps, nc) [N], one step before to one after.
-
-    A planned force has any convention, and a contact may be a step early or late. Raises ValueError
-    if a step has no row, or the shapes do not fit.
-
-    - lam: (n, nc) [N].
-    - step_of: (n-1,) the plan's step of each piece.
-    - mean: (steps, nc), if known.
-    """
-    first = np.searchsorted(step_of, np.arange(steps))
-    last = np.searchsorted(step_of, np.arange(steps), side="right")
-    rows = [slice(i, j + 1) for i, j in zip(first, last, strict=True)]
-    shape = steps, lam.shape[1]
-    least = np.array([lam[of].min(axis=0) for of in rows]).reshape(shape)
-    largest = np.array([lam[of].max(axis=0) for of in rows]).reshape(shape)
-    if mean is not None:
-        least, largest = np.minimum(least, mean), np.maximum(largest, mean)
-    before, after = [0, *range(steps - 1)], [*range(1, steps), steps - 1]
-    return (
-        np.minimum(np.minimum(least[before], least), least[after]),
-        np.maximum(np.maximum(largest[before], largest), largest[after]),
-    )
 
 
 def least_slip(slips: np.ndarray) -> np.ndarray:

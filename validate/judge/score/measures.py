@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
-from models.dynamics import derive
+from models.collocation import penetration_rates
 from models.scene import Scene
-from models.scene.default_limits import REPLAY_ERROR
 from models.scene.goal import distance
+from models.scene.impulses import excess_impulse, force_window
 from models.schemes import Scheme
 from models.trajectory import WINDOWS, Hold
-from validate.judge.replay.result import Difference, Event
+from validate.judge.replay.result import Difference
 from validate.judge.replay.subject import Subject
 from validate.judge.score import equations as eq
 from validate.judge.score.depths import deepest
 from validate.judge.score.evidence import Evidence
-from validate.judge.score.forces import force_window
 from validate.judge.score.verdict import Contradicted, LeavesBounds, Unmeasured
 
 DEFECT = 1e-6
-_HALVINGS = 7
-# A halving with a relative change below this is idle; after two the rest is not the grid's error.
-IDLE = 0.01
+# Lowest order of an error that vanishes with the step: halfway between one that stays (0) and the
+# lowest order of a right step (1).
+LEAST_ORDER = 0.5
+# Largest order that is reported, of an error that vanishes at once.
+_LARGEST_ORDER = 7.0
 # Relative size below which a force or gap is zero.
 _CLEARLY = 1e-2
 # Largest unexplained share of forces that are a multiple of the law's.
@@ -59,22 +59,16 @@ def _nominals(scene: Subject) -> np.ndarray:
 def start_error(case: Evidence) -> Measured:
     """Return the distance of the plan's first state from the replay's start, by component."""
     start, nominals = case.task_start, _nominals(case.scene)
-    distance_to_goal = np.abs(case.goal - start)
+    to_goal = np.abs(case.goal - start)
     # A task of a micrometre must not start a millionth of a metre away.
-    scales = np.fmin(
-        np.concatenate([nominals, nominals]),
-        np.where(distance_to_goal > 0.0, distance_to_goal, np.nan),
-    )
-    off = np.abs(np.concatenate([case.q[0], case.trajectory.v[0]]) - start)
+    scales = np.fmin(np.tile(nominals, 2), np.where(to_goal > 0.0, to_goal, np.nan))
+    values, groups, rows = np.abs(case.q[0] - start[: case.scene.nq]), ["q"], case.scene.nq
     # Without inertia the inputs determine the initial velocity.
-    has_velocities = "v" not in {*case.trajectory.missing, *case.lacking} and case.has_inertia
-    return Measured(
-        values=off if has_velocities else off[: case.scene.nq],
-        scales=scales if has_velocities else scales[: case.scene.nq],
-        allowed=np.concatenate(
-            [case.rounding[of][0] for of in ("q", *(["v"] if has_velocities else []))]
-        ),
-    )
+    if "v" not in {*case.trajectory.missing, *case.lacking} and case.has_inertia:
+        values = np.append(values, np.abs(case.trajectory.v[0] - start[rows:]))
+        groups, rows = ["q", "v"], 2 * rows
+    allowed = np.concatenate([case.rounding[of][0] for of in groups])
+    return Measured(values=values, scales=scales[:rows], allowed=allowed)
 
 
 def duration_error(case: Evidence) -> Measured:
@@ -85,17 +79,11 @@ def duration_error(case: Evidence) -> Measured:
 
 def bound_violation(case: Evidence) -> Measured:
     """Return the violation of the bounds by each input."""
-    inputs = case.scene.inputs
-    lower, upper = (
-        np.array([item.lower for item in inputs]),
-        np.array([item.upper for item in inputs]),
-    )
-    plan = case.trajectory
-    applied = (
-        np.vstack([plan.u, plan.u_end])
-        if plan.u_end is not None and plan.hold is Hold.LINEAR
-        else plan.u
-    )
+    plan, inputs = case.trajectory, case.scene.inputs
+    lower, upper = np.array([(item.lower, item.upper) for item in inputs]).reshape(-1, 2).T
+    applied = plan.u
+    if plan.u_end is not None and plan.hold is Hold.LINEAR:
+        applied = np.vstack([plan.u, plan.u_end])
     return Measured(
         values=eq.outside(applied, lower, upper),
         scales=_ranges(lower, upper),
@@ -104,10 +92,9 @@ def bound_violation(case: Evidence) -> Measured:
 
 
 def _velocity_bounds(case: Evidence) -> tuple[np.ndarray, np.ndarray]:
-    items = case.scene.coordinates
-    return np.array([item.velocity_lower for item in items]), np.array(
-        [item.velocity_upper for item in items]
-    )
+    bounds = [(item.velocity_lower, item.velocity_upper) for item in case.scene.coordinates]
+    lower, upper = np.array(bounds).T
+    return lower, upper
 
 
 def velocity_bound_violation(case: Evidence) -> Measured:
@@ -119,33 +106,40 @@ def velocity_bound_violation(case: Evidence) -> Measured:
 
 def _ranges(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Return the widths; for one finite bound its size, or 1."""
-    width = upper - lower
-    one = np.where(
-        np.isfinite(lower), np.abs(lower), np.where(np.isfinite(upper), np.abs(upper), 1.0)
-    )
-    return np.where(np.isfinite(width), width, np.where(one > 0.0, one, 1.0))
+    width, finite = upper - lower, np.where(np.isfinite(lower), lower, upper)
+    one = np.where(np.isfinite(finite) & (finite != 0.0), np.abs(finite), 1.0)
+    return np.where(np.isfinite(width), width, one)
 
 
-def terminal_error(case: Evidence) -> float:
-    """Return the distance of the plan's end from the goal."""
-    return distance(case.end, case.goal)
+# Last positions and velocities (nq,) [m or rad, per s] by the prefix of the metrics.
+_ENDS: dict[str, tuple[Callable[[Evidence], np.ndarray], Callable[[Evidence], np.ndarray]]] = {
+    "": (lambda case: case.q[-1], lambda case: case.v[-1]),
+    "replay_": (lambda case: case.replay_q[-1], lambda case: case.replay_v[-1]),
+    "discrete_": (lambda case: case.true_motion[0][-1], lambda case: case.true_motion[1][-1]),
+}
 
 
-def terminal_position_error(case: Evidence) -> Measured:
-    """Return the distance of the plan's last positions from the goal."""
-    nq = case.scene.nq
+def end_error(case: Evidence, of: str, part: str) -> Measured:
+    """Return the distance of an end from the goal; of: prefix; part: "position", "velocity", ""."""
+    goals = np.split(case.goal, 2)
+    parts = [index for index, name in enumerate(("position", "velocity")) if part in (name, "")]
+    parts = [index for index in parts if np.isfinite(goals[index]).any()]
+    values = np.linalg.norm([distance(_ENDS[of][index](case), goals[index]) for index in parts])
+    if of == "replay_":
+        # A norm over positions differs at most by the norm of their errors.
+        error = case.error.position * float(np.sqrt(case.scene.nq))
+        error = min(case.error.state, error) if parts == [0] else case.error.state
+        return Measured(values=float(values), error=error)
+    if not part:
+        return Measured(values=float(values))
+    if of == "":
+        rounding = case.rounding["q" if part == "position" else "v"][-1]
+        return Measured(values=float(values), allowed=float(np.linalg.norm(rounding)))
+    own = case.scene.limit(f"terminal_{part}_error")
     return Measured(
-        values=distance(case.q[-1], case.goal[:nq]),
-        allowed=float(np.linalg.norm(case.rounding["q"][-1])),
-    )
-
-
-def terminal_velocity_error(case: Evidence) -> Measured:
-    """Return the distance of the plan's last velocities from the goal."""
-    nq = case.scene.nq
-    return Measured(
-        values=distance(case.v[-1], case.goal[nq:]),
-        allowed=float(np.linalg.norm(case.rounding["v"][-1])),
+        values=float(values),
+        scales=_explained(case),
+        allowed=0.0 if own is None or own.value is None else own.value,
     )
 
 
@@ -161,16 +155,12 @@ def physics(case: Evidence) -> float:
 
 def physics_scaled(case: Evidence) -> Measured:
     """Return the complementarity violation on any grid [s]."""
-    value = eq.physics_scaled(lam=case.lam, push=case.push, k=case.k, length=case.length, h=case.h)
+    lam, push, h, length = case.lam, case.push, case.h, case.length
+    value = eq.physics_scaled(lam=lam, push=push, k=case.k, length=length, h=h)
     p_lam, p_push = case.rounding["lam"][:, : case.scene.nc], case.rounding_of_law
-    rounded = (
-        p_lam * (2.0 * np.abs(case.lam) + np.abs(case.push))
-        + np.abs(case.lam) * p_push
-        + p_lam * (p_lam + p_push)
-    )
-    allowed = float(
-        (case.h[:, None] * rounded * (case.lam != 0.0) / (case.k * case.length) ** 2).sum()
-    )
+    rounded = p_lam * (2.0 * np.abs(lam) + np.abs(push)) + np.abs(lam) * p_push
+    rounded += p_lam * (p_lam + p_push)
+    allowed = float((h[:, None] * rounded * (lam != 0.0) / (case.k * length) ** 2).sum())
     return Measured(values=value, scales=case.trajectory.duration * case.scene.nc, allowed=allowed)
 
 
@@ -224,43 +214,38 @@ def times_the_law(case: Evidence) -> np.ndarray:
 
     Raises Unmeasured unless that explains them far better than the law does.
     """
-    h, lam, least = case.h[:, None], case.lam, np.inf
-    times = np.ones(case.scene.nc)
+    h, lam, found = case.h[:, None], case.lam, []
     for law in case.laws.values():
         norm = (h * law**2).sum(axis=0)
-        factors = np.divide(
-            (h * law * lam).sum(axis=0), norm, out=np.ones_like(norm), where=norm > 0.0
-        )
+        factors = (h * law * lam).sum(axis=0) / np.where(norm > 0.0, norm, 1.0)
+        factors = np.where(norm > 0.0, factors, 1.0)
         left, of_law = (float((h * np.abs(lam - other)).sum()) for other in (factors * law, law))
-        if left <= _EXPLAINED * of_law and left < least:
-            times, least = factors, left
-    if not math.isfinite(least):
+        if left <= _EXPLAINED * of_law:
+            found.append((left, factors))
+    if not found:
         raise Unmeasured("the planned contact forces are no multiple of those of contact.")
-    return times
+    return min(found, key=lambda one: one[0])[1]
 
 
 def is_relaxed(case: Evidence) -> bool:
     """Return whether planned forces act at open gaps, decreasing with the gap."""
     if "lam" in case.trajectory.missing or not isinstance(case.scene, Scene):
         return False
-    depth = case.kernel.penetration(case.q[:-1])
-    for lam, pen in zip(case.lam.T, depth.T, strict=True):
-        order = np.argsort(pen, kind="stable")
-        sorted_lam = lam[order]
-        falls = float((np.maximum.accumulate(sorted_lam) - sorted_lam).sum())
-        apart = float(lam[pen < 0.0].clip(0.0).sum())
-        if apart > _CLEARLY * float(np.abs(lam).sum()) and falls <= _MONOTONE * float(lam.sum()):
+    depths = case.kernel.penetration(case.q[:-1])
+    for lam, depth in zip(case.lam.T, depths.T, strict=True):
+        rising = lam[np.argsort(depth, kind="stable")]
+        falls = float((np.maximum.accumulate(rising) - rising).sum())
+        apart = float(lam[depth < 0.0].clip(0.0).sum())
+        if apart > _CLEARLY * np.abs(lam).sum() and falls <= _MONOTONE * lam.sum():
             return True
     return False
 
 
 def _grazing(case: Evidence) -> float:
     """Return the impulse of grazing contacts [N s], which is rounding."""
-    return (
-        1e-9 * float((case.k * case.length).max()) * case.trajectory.duration
-        if isinstance(case.scene, Scene)
-        else 0.0
-    )
+    if not isinstance(case.scene, Scene):
+        return 0.0
+    return 1e-9 * float((case.k * case.length).max()) * case.trajectory.duration
 
 
 def force_sign_violation(case: Evidence) -> Measured:
@@ -289,93 +274,35 @@ def friction_dissipation_error(case: Evidence) -> Measured:
 
 def replay_error(case: Evidence) -> Measured:
     """Return the largest difference of plan and replay at nodes, by position."""
-    values = np.abs(case.q - case.replay_q).max(axis=0)
-    return Measured(
-        values=values,
-        error=case.error.position,
-        scales=_nominals(case.scene),
-        allowed=case.rounding["q"].max(axis=0),
-    )
-
-
-def replay_terminal_error(case: Evidence) -> tuple[float, float]:
-    """Return the distance of the replay's end from the goal, and its error."""
-    return distance(case.replay_end, case.goal), case.error.state
-
-
-def replay_terminal_position_error(case: Evidence) -> tuple[float, float]:
-    """Return the distance of the replay's last positions from the goal, and its error."""
-    # A norm over positions differs at most by the norm of their errors.
-    error = min(case.error.state, case.error.position * float(np.sqrt(case.scene.nq)))
-    return distance(case.replay_q[-1], case.goal[: case.scene.nq]), error
-
-
-def replay_terminal_velocity_error(case: Evidence) -> tuple[float, float]:
-    """Return the distance of the replay's last velocities from the goal, and its error."""
-    return distance(case.replay_v[-1], case.goal[case.scene.nq :]), case.error.state
+    values, allowed = np.abs(case.q - case.replay_q).max(axis=0), case.rounding["q"].max(axis=0)
+    scales = _nominals(case.scene)
+    return Measured(values=values, error=case.error.position, scales=scales, allowed=allowed)
 
 
 def replay_cost(case: Evidence) -> tuple[float, float]:
     """Return the task's cost of the replay, and its error."""
+    case.need("q", "v")
     replay, error = case.replay, case.error.state
     u = case.trajectory.u if replay.applied is None else replay.applied
-    case.need("q", "v")
     t, q, v = replay.t, replay.q, replay.v
     value = case.cost_of(t, q, v, u)
-    around = (
-        [case.cost_of(t, q + sign * error, v + sign * error, u) for sign in (1.0, -1.0)]
-        if np.isfinite(error)
-        else [np.inf]
-    )
+    if not np.isfinite(error):
+        return value, np.inf
+    around = (case.cost_of(t, q + off, v + off, u) for off in (error, -error))
     return value, max(abs(one - value) for one in around)
-
-
-def replay_error_time(case: Evidence) -> float:
-    """Return the time of the largest difference of plan and replay [s]."""
-    return float(case.trajectory.t[eq.largest_difference(case.q, case.replay_q)[1]])
 
 
 def grid_error(case: Evidence) -> tuple[float, float]:
     """Return the discretisation error [m or rad] of the plan's grid, and its own error."""
-    return eq.largest_difference(case.true_motion[0], case.replay_q)[0], case.error.position
+    return case.grid_errors[0], case.error.position
 
 
 def grid_order(case: Evidence) -> float:
-    """Return the log2 of the error's reduction by the last halving of `halved`."""
-    error, near = grid_error(case)[0], float(replay_limits(case.scene).min()) / 4.0
-    if error <= near:
-        raise Unmeasured(
-            "the discretisation error is far below the limit on replay_error, so that nothing need be known of its order."
-        )
-    order = 0.0
-    for finer in halved(case, near):
-        order = float(np.log2(error / finer)) if finer > 0.0 else np.inf
-        error = finer
-    return min(order, _HALVINGS)
-
-
-def halved(case: Evidence, near: float) -> Iterator[float]:
-    """Yield the grid error [m or rad] with the plan's step halved repeatedly, with held inputs.
-
-    Ends at `near`, after two idle halvings, or seven. Raises Unmeasured.
-    """
-    before, idle = case.true_motion[0], 0
-    for halvings in range(1, _HALVINGS + 1):
-        q = case.own_motion(2**halvings)[0]
-        error, _ = eq.largest_difference(q, case.replay_q)
-        yield error
-        idle = idle + 1 if eq.largest_difference(q, before)[0] < IDLE * (error - near) else 0
-        if error <= near or idle == 2:
-            return
-        before = q
-
-
-def replay_limits(scene: Subject) -> np.ndarray:
-    """Return the limits of replay_error, (nq,) [m or rad]. Raises nothing."""
-    scene_limit, nominals = scene.limit("replay_error"), _nominals(scene)
-    if scene_limit is None or scene_limit.value is None:
-        return REPLAY_ERROR * nominals
-    return np.full(scene.nq, scene_limit.value)
+    """Return the order with which the last halving of the step reduces the discretisation error."""
+    if len(case.grid_errors) == 1:
+        raise Unmeasured("the discretisation error is far below the limit on replay_error.")
+    coarse, fine = case.grid_errors[-2:]
+    return min(float(np.log2(coarse / fine)), _LARGEST_ORDER) if fine > 0.0 else _LARGEST_ORDER
 
 
 def max_penetration(case: Evidence) -> Measured:
@@ -386,17 +313,9 @@ def max_penetration(case: Evidence) -> Measured:
     if not isinstance(case.scene, Scene):
         _check_gaps(case)
         # Between rows a smooth gap is below its chord by an eighth of its second difference.
-        bends = (
-            np.abs(
-                np.diff(
-                    np.vstack([case.replay_gap[:1], case.replay_gap, case.replay_gap[-1:]]),
-                    2,
-                    axis=0,
-                )
-            )
-            / 8.0
-        )
-        error += np.take_along_axis(bends, case.replay_gap.argmin(axis=0)[None], 0)[0]
+        bends = np.abs(np.diff(np.pad(case.replay_gap, ((1, 1), (0, 0)), mode="edge"), 2, axis=0))
+        lowest = case.replay_gap.argmin(axis=0)[None]
+        error += np.take_along_axis(bends, lowest, 0)[0] / 8.0
     return Measured(values=depth, error=error, scales=depths)
 
 
@@ -422,38 +341,26 @@ def _check_gaps(case: Evidence) -> None:
 
 def ghost_impulse(case: Evidence) -> Measured:
     """Return the planned contact impulse without the replay's within a step [N s]."""
-    return _of_impulses(
-        case, lambda of: of.force_window[1], lambda most: eq.excess_impulse(case.lam, most, case.h)
-    )
+    return _of_impulses(case, 1, lambda most: excess_impulse(case.lam, most, case.h))
 
 
 def missed_impulse(case: Evidence) -> Measured:
     """Return the replay's contact impulse without the plan's within a step [N s]."""
-    return _of_impulses(
-        case,
-        lambda of: of.force_window[0],
-        lambda least: eq.excess_impulse(least, case.lam, case.h),
-    )
+    return _of_impulses(case, 0, lambda least: excess_impulse(least, case.lam, case.h))
 
 
-def _of_impulses(
-    case: Evidence, window: Callable[[Evidence], np.ndarray], excess: Callable[[np.ndarray], float]
-) -> Measured:
+def _of_impulses(case: Evidence, end: int, excess: Callable[[np.ndarray], float]) -> Measured:
     """Return the impulse [N s] in excess of one end of the force window (steps, nc) [N]."""
     printed = float((case.h[:, None] * case.rounding["lam"][:, : case.scene.nc]).sum())
-    forces, lagging = window(case), case.replay.lagging
+    forces, lagging = case.force_window[end], case.replay.lagging
     value, error = excess(forces), _impulse_error(case)
     if lagging is not None:  # both ways, by twice the lag's first-order change
-        off = 2.0 * np.abs(forces - window(Evidence(case.scene, case.trajectory, lagging)))
-        error += max(
-            abs(excess(np.maximum(moved, 0.0)) - value) for moved in (forces + off, forces - off)
-        )
-    return Measured(
-        values=value,
-        error=error,
-        scales=case.impulse_yardstick,
-        allowed=printed + _grazing(case),
-    )
+        late = Evidence(case.scene, case.trajectory, lagging).force_window[end]
+        off = 2.0 * np.abs(forces - late)
+        moved = [np.maximum(forces + change, 0.0) for change in (off, -off)]
+        error += max(abs(excess(one) - value) for one in moved)
+    allowed = printed + _grazing(case)
+    return Measured(values=value, error=error, scales=case.impulse_yardstick, allowed=allowed)
 
 
 def _impulse_error(case: Evidence) -> float:
@@ -461,25 +368,18 @@ def _impulse_error(case: Evidence) -> float:
 
     The lag's error is excluded.
     """
-    touching = float(
-        (
-            case.duration[:, None] * ((case.replay.lam[:-1] > 0.0) | (case.replay.lam[1:] > 0.0))
-        ).sum()
-    )
+    lam, gap, error = case.replay.lam, case.replay_gap, case.error
+    touches = (lam[:-1] > 0.0) | (lam[1:] > 0.0)
+    touching = float((case.duration[:, None] * touches).sum())
     if not isinstance(case.scene, Scene):  # stiffness from its own forces and gaps
         # At the start of a contact, damping divides by a depth near zero.
-        pressed = case.replay_gap < np.minimum(_CLEARLY * case.replay_gap.min(axis=0), 0.0)
-        stiffness = np.divide(
-            case.replay.lam, -case.replay_gap, out=np.zeros_like(case.replay.lam), where=pressed
-        ).max(initial=0.0)
-        return float(stiffness) * touching * case.error.gap if touching else 0.0
+        pressed = gap < np.minimum(_CLEARLY * gap.min(axis=0), 0.0)
+        stiffness = np.divide(lam, -gap, out=np.zeros_like(lam), where=pressed).max(initial=0.0)
+        return float(stiffness) * touching * error.gap if touching else 0.0
     lag = case.replay.error.lag or Difference(position=0.0, state=0.0, gap=0.0)
-    error = float(case.slopes[0].max(initial=0.0)) * touching * (case.error.gap - lag.gap)
-    return error + (
-        float(case.slopes[1].max(initial=0.0)) * touching * (case.error.state - lag.state)
-        if case.scene.damped
-        else 0.0
-    )
+    by_depth, by_rate = (float(part.max(initial=0.0)) for part in case.slopes)
+    found = by_depth * touching * (error.gap - lag.gap)
+    return found + (by_rate * touching * (error.state - lag.state) if case.scene.damped else 0.0)
 
 
 def replay_velocity_bound_violation(case: Evidence) -> Measured:
@@ -491,24 +391,17 @@ def replay_velocity_bound_violation(case: Evidence) -> Measured:
 def defect(case: Evidence) -> Measured:
     """Return the residual of the declared scheme, by component of the state."""
     p_q, p_v = (case.rounding[of].max(axis=0) for of in ("q", "v"))
-    h = float(case.h.max())
-    scheme = case.trajectory.scheme
-    if scheme is not Scheme.SEMI_IMPLICIT_EULER:
-        # Stages are not stored; their forces are those of the true law.
+    h, scheme = float(case.h.max()), case.trajectory.scheme
+    if scheme is Scheme.SEMI_IMPLICIT_EULER:
+        values = eq.defect(q=case.q, v=case.v, acceleration=case.acceleration, h=case.h)
+    else:  # stages are not stored; their forces are those of the true law
         values = case.collocation_defect
         if not np.isfinite(values).all():
-            name = "" if scheme is None else scheme.value
-            raise LeavesBounds(f"a step of scheme {name} from a node of the plan has no solution.")
-    else:
-        values = eq.defect(q=case.q, v=case.v, acceleration=case.acceleration, h=case.h)
-    nominals = _nominals(case.scene)
-    position = 2.0 * p_q + h * p_v
-    velocity = 2.0 * p_v + h * case.printing_acceleration
-    return Measured(
-        values=values,
-        scales=np.concatenate([nominals, nominals]),
-        allowed=np.concatenate([position, velocity]),
-    )
+            raise LeavesBounds(
+                f"a step of scheme {scheme and scheme.value} from a node of the plan has no solution."
+            )
+    rounded = np.append(2.0 * p_q + h * p_v, 2.0 * p_v + h * case.printing_acceleration)
+    return Measured(values=values, scales=np.tile(_nominals(case.scene), 2), allowed=rounded)
 
 
 def _explained(case: Evidence) -> float:
@@ -525,43 +418,17 @@ def law_error(case: Evidence) -> Measured:
     )
 
 
-def discrete_terminal_error(case: Evidence) -> float:
-    """Return the distance from the goal of the plan's scheme under true contact."""
-    return distance(case.true_end, case.goal)
-
-
-def discrete_terminal(case: Evidence, part: str) -> Measured:
-    """Return `discrete_terminal_error` of "position" or "velocity", beyond the plan's own limit."""
-    scene_limit, nq = case.scene.limit(f"terminal_{part}_error"), case.scene.nq
-    rows = slice(nq) if part == "position" else slice(nq, None)
-    allowed = 0.0 if scene_limit is None or scene_limit.value is None else scene_limit.value
-    return Measured(
-        values=distance(case.true_end[rows], case.goal[rows]),
-        scales=_explained(case),
-        allowed=allowed,
-    )
-
-
-def _work(case: Evidence) -> tuple[np.ndarray, np.ndarray]:
-    if case.replay.input_work is None or case.replay.dissipated_work is None:
-        raise Unmeasured("the FMU has no outputs input_power and dissipated_power.")
-    return case.replay.input_work, case.replay.dissipated_work
-
-
-def energy_residual(case: Evidence) -> float:
-    """Return the largest error of the replay's energy balance [J]."""
-    return eq.energy_residual(case.replay.energy, *_work(case))
-
-
 def energy_residual_relative(case: Evidence) -> float:
-    """Return the energy error relative to the energy turned over [-]."""
-    replay, work = case.replay, _work(case)
-    turned = eq.energy_turnover(
-        replay.kinetic_energy, replay.potential_energy, replay.contact_energy, *work
-    )
+    """Return the largest error of the replay's energy balance, of the energy turned over [-]."""
+    replay = case.replay
+    if replay.input_work is None or replay.dissipated_work is None:
+        raise Unmeasured("the FMU has no outputs input_power and dissipated_power.")
+    works = replay.input_work, replay.dissipated_work
+    turned = [*map(np.max, (replay.kinetic_energy, replay.contact_energy, *np.abs(works)))]
     speeds = _nominals(case.scene)[None, :]
     typical = float(case.kernel.energy(replay.q[:1], speeds)[0][0])
-    return energy_residual(case) / max(turned, _AT_REST * typical)
+    largest = max(*turned, np.ptp(replay.potential_energy), _AT_REST * typical)
+    return eq.energy_residual(replay.energy, *works) / float(largest)
 
 
 def friction_impulse_error(case: Evidence) -> Measured:
@@ -598,79 +465,45 @@ def friction_impulse_error(case: Evidence) -> Measured:
 
 
 # Measures of closed forms (models.scene.parts.Answer.measure): value and error, of the first
-# contact
-# from its closing to its opening.
+# contact from its closing to its opening.
 
 
-def _first_contact(case: Evidence) -> tuple[Event, Event]:
-    events = case.replay.events
+def _first_contact(case: Evidence) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the times [s] and gap rates [m/s] at the first contact's closing and opening."""
+    events = iter(case.replay.events)
     closing = next((event for event in events if event.closes), None)
     if closing is None:
         raise Unmeasured("no contact closes in the replay.")
-    opening = next(
-        (
-            event
-            for event in events
-            if not event.closes and event.contact == closing.contact and event.time > closing.time
-        ),
-        None,
-    )
+    name = closing.contact
+    opening = next((event for event in events if not event.closes and event.contact == name), None)
     if opening is None:
-        raise Unmeasured(f"contact {closing.contact} does not open again in the replay.")
-    return closing, opening
-
-
-def _gap_rate(case: Evidence, event: Event) -> float:
-    row = int(np.argmin(np.abs(case.replay.t - event.time)))
-    return _rate(case, row, [contact.name for contact in case.scene.contacts].index(event.contact))
-
-
-def _rate(case: Evidence, row: int, contact: int) -> float:
-    dynamics, replay = derive(case.equations), case.replay
-    return float(
-        dynamics.function(dynamics.gap_jacobian, dynamics.q)(replay.q[row])[contact] @ replay.v[row]
-    )
+        raise Unmeasured(f"contact {name} does not open again in the replay.")
+    times = closing.time, opening.time
+    rows = [int(np.argmin(np.abs(case.replay.t - time))) for time in times]
+    contact = [item.name for item in case.scene.contacts].index(name)
+    rates = -penetration_rates(case.kernel, case.replay.q[rows], case.replay.v[rows])[:, contact]
+    return times, (float(rates[0]), float(rates[1]))
 
 
 def _closing_time(case: Evidence) -> tuple[float, float]:
-    closing, _ = _first_contact(case)
-    return closing.time, case.error.gap / abs(_gap_rate(case, closing))
+    (closing, _), (rate, _) = _first_contact(case)
+    return closing, case.error.gap / abs(rate)
 
 
 def _duration(case: Evidence) -> tuple[float, float]:
-    closing, opening = _first_contact(case)
-    return opening.time - closing.time, sum(
-        case.error.gap / abs(_gap_rate(case, event)) for event in (closing, opening)
-    )
+    (closing, opening), rates = _first_contact(case)
+    return opening - closing, sum(case.error.gap / abs(rate) for rate in rates)
 
 
 def _restitution(case: Evidence) -> tuple[float, float]:
-    before, after = (_gap_rate(case, event) for event in _first_contact(case))
+    _, (before, after) = _first_contact(case)
     return -after / before, 2.0 * case.error.state / abs(before)
 
 
 def _depth(case: Evidence) -> tuple[float, float]:
-    """Return the deepest cubic between rows, and the gap's error."""
-    t, gap = case.replay.t, case.replay.gap
-    deepest, contact = np.unravel_index(int(np.argmin(gap)), gap.shape)
-    rows = range(max(0, int(deepest) - 1), min(len(t) - 1, int(deepest) + 1))
-    # 1e-7 of the last fall: the depth is flat at its largest.
-    s = np.linspace(0.0, 1.0, 2001)
-    lowest = 0.0
-    for row in rows:
-        h = t[row + 1] - t[row]
-        ends, rates = (
-            gap[row : row + 2, contact],
-            [h * _rate(case, at, int(contact)) for at in (row, row + 1)],
-        )
-        cubic = (
-            (1 + 2 * s) * (1 - s) ** 2 * ends[0]
-            + s * (1 - s) ** 2 * rates[0]
-            + s**2 * (3 - 2 * s) * ends[1]
-            - s**2 * (1 - s) * rates[1]
-        )
-        lowest = min(lowest, float(cubic.min()))
-    return -lowest, case.error.gap
+    depth, unsure = deepest(case)
+    contact = int(depth.argmax())
+    return float(depth[contact]), case.error.gap + float(unsure[contact])
 
 
 MEASURES: dict[str, Callable[[Evidence], tuple[float, float]]] = {
@@ -683,10 +516,7 @@ MEASURES: dict[str, Callable[[Evidence], tuple[float, float]]] = {
 
 def answer_error(case: Evidence) -> tuple[float, float]:
     """Return the replay's largest distance from measured answers, and error, in tolerances."""
-    distances, errors = [], []
-    for answer in case.scene.answers:
-        if answer.measure:
-            value, error = MEASURES[answer.measure](case)
-            distances.append(abs(value - answer.value) / answer.tolerance)
-            errors.append(error / answer.tolerance)
-    return max(distances), max(errors)
+    answers = [answer for answer in case.scene.answers if answer.measure]
+    found = [(answer, *MEASURES[answer.measure](case)) for answer in answers]
+    distances = [abs(value - answer.value) / answer.tolerance for answer, value, _ in found]
+    return max(distances), max(error / answer.tolerance for answer, _, error in found)

@@ -7,14 +7,14 @@ feedback's effort is limited too, because large corrections make another plan.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from models.scene import Scene
 from models.scene.default_limits import FEEDBACK_EFFORT, FEEDBACK_SHARE, IMPULSE, REPLAY_ERROR
-from validate.judge.replay.result import Growth
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.wiring import Effort
 from validate.judge.score import measures
@@ -27,7 +27,7 @@ from validate.judge.score.verdict import EFFORT, SHARE, TRACKED, LeavesBounds, Q
 class MetricEntry:
     """One metric; measure raises Unmeasured with a reason.
 
-    - units: of each component, or those of a norm.
+    - name: the measure's own if empty; units: of each component, or those of a norm.
     - quoted: phrase of the verdict, {} is the value; default `NAME is {}`.
     - default: limit as a factor of the scale, and reason; None: only a scene's limit judges.
     - needs: groups of the plan, of "q", "v", "lam", "friction", "scheme", "no scheme".
@@ -35,17 +35,20 @@ class MetricEntry:
     - limit_of: metric whose limit is used.
     """
 
-    name: str
-    question: Question
-    units: Callable[[Subject], tuple[str, ...]]
-    meaning: str
     measure: Callable[[Evidence], Measured | tuple[float, float] | float]
+    meaning: str
+    name: str = ""
+    question: Question = Question.SHOWN
+    units: Callable[[Subject], tuple[str, ...]] = lambda scene: ("1",)
     applies: Callable[[Subject], bool] = lambda scene: True
     needs: tuple[str, ...] = ()
     default: tuple[float, str] | None = None
     of_replay: bool = False
     quoted: str = ""
     limit_of: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", self.name or getattr(self.measure, "__name__", ""))
 
     @property
     def limited_by(self) -> str:
@@ -93,84 +96,90 @@ def _has_velocity_bounds(scene: Subject) -> bool:
     return any(item.has_velocity_bounds for item in scene.coordinates)
 
 
+def _bounded(which: Callable[..., bool]) -> Callable[[Subject], bool]:
+    return lambda scene: any(which(np.isfinite((i.lower, i.upper))) for i in scene.inputs)
+
+
 def _is_scene(scene: Subject) -> bool:
     return isinstance(scene, Scene)
 
 
-def _has_goal(scene: Subject) -> bool:
-    return scene.task.has_goal
+_QUOTED = {
+    "position": "{} from the goal",
+    "velocity": "with {} more or less than the goal's velocity",
+}
 
 
-def _goal_positions(scene: Subject) -> tuple[str, ...]:
-    return tuple(
-        unit
-        for unit, value in zip(_positions(scene), scene.task.goal[: scene.nq], strict=True)
-        if value is not None
-    )
+def _ends(
+    of: str,
+    question: Question,
+    where: str,
+    subject: str,
+    needs: tuple[tuple[str, ...], ...] = ((), (), ()),
+    default: tuple[float, str] | None = None,
+) -> Iterator[MetricEntry]:
+    """Yield the distances of an end from the goal: of positions, of velocities, of both (shown).
 
+    of: prefix of the names; where, subject: of meanings and phrases; needs: of the three.
+    """
+    for part, groups in zip(("position", "velocity", ""), needs, strict=True):
 
-def _goal_velocities(scene: Subject) -> tuple[str, ...]:
-    return tuple(
-        unit
-        for unit, value in zip(_velocities(scene), scene.task.goal[scene.nq :], strict=True)
-        if value is not None
-    )
+        def units(scene: Subject, part: str = part) -> tuple[str, ...]:
+            parts = ["position"] * scene.nq + ["velocity"] * scene.nq
+            states = zip(parts, _states(scene), scene.task.goal, strict=True)
+            return tuple(u for of, u, value in states if part in (of, "") and value is not None)
 
-
-def _has_goal_position(scene: Subject) -> bool:
-    return any(value is not None for value in scene.task.goal[: scene.nq])
-
-
-def _has_goal_velocity(scene: Subject) -> bool:
-    return any(value is not None for value in scene.task.goal[scene.nq :])
+        yield MetricEntry(
+            name=f"{of}terminal_{part}{'_' * bool(part)}error",
+            question=question if part else Question.SHOWN,
+            units=units,
+            measure=partial(measures.end_error, of=of, part=part),
+            applies=lambda scene, units=units: (
+                bool(units(scene)) and (of != "discrete_" or _is_scene(scene))
+            ),
+            needs=groups,
+            default=default if part else None,
+            of_replay=of == "replay_",
+            limit_of="" if of or not part else f"replay_terminal_{part}_error",
+            meaning=f"distance of the {part or 'state'} from the goal {where}",
+            quoted=f"{subject} ends {_QUOTED[part]}" if part else "",
+        )
 
 
 _OF_IMPULSE = (
     IMPULSE,
-    "1 % of the contact impulse that plan and replay have in common, or of a typical force for a fiftieth of the plan",
+    "1 % of the common contact impulse, at least that of a fiftieth of the plan",
 )
 
 TABLE = (
     MetricEntry(
-        name="start_error",
         question=Question.TASK,
         units=_states,
         measure=measures.start_error,
         needs=("q",),
-        default=(
-            1e-6,
-            "1e-6 of the nominal, or of the way to the goal where that is shorter: a plan from another start solves another task",
-        ),
+        default=(1e-6, "1e-6 of the nominal, or of the way to the goal if that is shorter"),
         meaning="largest distance of the plan's first state from the task's start",
         quoted="the plan starts {} away from the task's start",
     ),
     MetricEntry(
-        name="duration_error",
         question=Question.TASK,
         units=_unit("s"),
         measure=measures.duration_error,
         applies=lambda scene: scene.task.horizon is not None,
-        default=(
-            0.5,
-            "half a step of the task, of an FMU a thousandth of its duration: a plan that lasts another time solves another task",
-        ),
+        default=(0.5, "half a step of the task, of an FMU a thousandth of its duration"),
         meaning="by how much the plan is longer or shorter than the task",
         quoted="the plan and the task differ in duration by {}",
     ),
     MetricEntry(
-        name="bound_violation",
         question=Question.TASK,
         units=_inputs,
         measure=measures.bound_violation,
-        applies=lambda scene: any(
-            np.isfinite((item.lower, item.upper)).any() for item in scene.inputs
-        ),
+        applies=_bounded(np.any),
         default=(1e-6, "1e-6 of the range, the solvers' own tolerance: the actuators give no more"),
         meaning="by how much the plan's inputs leave their bounds",
         quoted="the inputs leave their bounds by {}",
     ),
     MetricEntry(
-        name="velocity_bound_violation",
         question=Question.TASK,
         units=_velocities,
         measure=measures.velocity_bound_violation,
@@ -180,30 +189,8 @@ TABLE = (
         meaning="by how much the plan's velocities leave their bounds at the start of a step",
         quoted="the plan's velocities leave their bounds by {}",
     ),
+    *_ends("", Question.GOAL, "in the plan", "the plan itself", (("q",), ("v",), ("q",))),
     MetricEntry(
-        name="terminal_position_error",
-        question=Question.GOAL,
-        units=_goal_positions,
-        measure=measures.terminal_position_error,
-        applies=_has_goal_position,
-        needs=("q",),
-        limit_of="replay_terminal_position_error",
-        meaning="norm of q_T - q_f in the plan",
-        quoted="the plan itself ends {} from the goal",
-    ),
-    MetricEntry(
-        name="terminal_velocity_error",
-        question=Question.GOAL,
-        units=_goal_velocities,
-        measure=measures.terminal_velocity_error,
-        applies=_has_goal_velocity,
-        needs=("v",),
-        limit_of="replay_terminal_velocity_error",
-        meaning="norm of v_T - v_f in the plan",
-        quoted="the plan itself ends with {} more or less than the goal's velocity",
-    ),
-    MetricEntry(
-        name="velocity_error",
         question=Question.FORCES,
         units=_positions,
         measure=measures.velocity_error,
@@ -214,7 +201,6 @@ TABLE = (
         quoted="its velocities are not those of its positions: they would move it {} elsewhere in a tenth of the plan",
     ),
     MetricEntry(
-        name="contact_law_error",
         question=Question.FORCES,
         units=_unit("N s"),
         measure=measures.contact_law_error,
@@ -225,7 +211,6 @@ TABLE = (
         quoted="its contact forces are not those of its own motion: impulse {} from what the contact law gives",
     ),
     MetricEntry(
-        name="contact_force_error",
         question=Question.FORCES,
         units=_unit("N"),
         measure=measures.contact_force_error,
@@ -236,21 +221,16 @@ TABLE = (
         quoted="a planned contact force is {} from what the contact law gives within a step of it",
     ),
     MetricEntry(
-        name="physics_scaled",
         question=Question.FORCES,
         units=_unit("s"),
         measure=measures.physics_scaled,
         applies=lambda scene: _is_scene(scene) and _has_contacts(scene),
         needs=("lam", "q", "scheme"),
-        default=(
-            2e-6,
-            "averaged over plan and contacts a product of 2e-6 (k L)^2: a thousandth of k L where the gap is just closed, less at a distance",
-        ),
+        default=(2e-6, "a thousandth of k L if the gap is just closed, less at a distance"),
         meaning="sum of h |lam (lam - k phi)| / (k L)^2, with L the nominal penetration of the contact: complementarity violation, the same on any grid",
         quoted="its contact forces are not those of contact: complementarity violation {} (scaled)",
     ),
     MetricEntry(
-        name="force_sign_violation",
         question=Question.FORCES,
         units=_unit("N"),
         measure=measures.force_sign_violation,
@@ -261,21 +241,16 @@ TABLE = (
         quoted="a planned contact force pulls with {}",
     ),
     MetricEntry(
-        name="friction_violation",
         question=Question.FORCES,
         units=_unit("N"),
         measure=measures.friction_violation,
         applies=_has_friction,
         needs=("friction", "q"),
-        default=(
-            1e-4,
-            "1e-4 of mu N of a typical force: more is force that friction does not have",
-        ),
+        default=(1e-4, "1e-4 of mu N of a typical force"),
         meaning="by how much a planned friction force exceeds mu N, with N what the plan itself presses with, or the contact law where it states no contact forces",
         quoted="a planned friction force exceeds mu N by {}",
     ),
     MetricEntry(
-        name="friction_dissipation_error",
         question=Question.FORCES,
         units=_unit("W"),
         measure=measures.friction_dissipation_error,
@@ -286,7 +261,6 @@ TABLE = (
         quoted="it slips without all of mu N holding it back, by {}",
     ),
     MetricEntry(
-        name="replay_error",
         question=Question.MOTION,
         units=_positions,
         measure=measures.replay_error,
@@ -296,30 +270,9 @@ TABLE = (
         meaning="largest position difference between plan and replay at the plan's nodes",
         quoted="driven by its inputs the motion departs from the plan by {}",
     ),
+    *_ends("replay_", Question.MOTION, "in the replay", "driven by its inputs the motion"),
     MetricEntry(
-        name="replay_terminal_position_error",
         question=Question.MOTION,
-        units=_goal_positions,
-        measure=measures.replay_terminal_position_error,
-        applies=_has_goal_position,
-        of_replay=True,
-        meaning="norm of q_T - q_f in the replay",
-        quoted="driven by its inputs the motion ends {} from the goal",
-    ),
-    MetricEntry(
-        name="replay_terminal_velocity_error",
-        question=Question.MOTION,
-        units=_goal_velocities,
-        measure=measures.replay_terminal_velocity_error,
-        applies=_has_goal_velocity,
-        of_replay=True,
-        meaning="norm of v_T - v_f in the replay",
-        quoted="driven by its inputs the motion ends with {} more or less than the goal's velocity",
-    ),
-    MetricEntry(
-        name="replay_cost",
-        question=Question.MOTION,
-        units=_unit("1"),
         measure=measures.replay_cost,
         applies=_is_scene,
         of_replay=True,
@@ -327,20 +280,16 @@ TABLE = (
         quoted="driven by its inputs the motion costs {}",
     ),
     MetricEntry(
-        name="max_penetration",
         question=Question.POSSIBLE,
         units=_unit("m"),
         measure=measures.max_penetration,
-        applies=lambda scene: (
-            _has_contacts(scene) and any(depth is not None for depth in scene.depths)
-        ),
+        applies=lambda scene: scene.nc > 0 and any(depth is not None for depth in scene.depths),
         of_replay=True,
         default=(1.0, "the depth at which the model of the contact ends"),
         meaning="deepest penetration in the replay, of the contact that is nearest to the depth at which its model ends",
         quoted="the bodies penetrate by {}",
     ),
     MetricEntry(
-        name="ghost_impulse",
         question=Question.POSSIBLE,
         units=_unit("N s"),
         measure=measures.ghost_impulse,
@@ -352,7 +301,6 @@ TABLE = (
         quoted="contact that the replay does not have: impulse {}",
     ),
     MetricEntry(
-        name="missed_impulse",
         question=Question.POSSIBLE,
         units=_unit("N s"),
         measure=measures.missed_impulse,
@@ -364,7 +312,6 @@ TABLE = (
         quoted="contact that the plan does not have: impulse {}",
     ),
     MetricEntry(
-        name="friction_impulse_error",
         question=Question.POSSIBLE,
         units=_unit("N s"),
         measure=measures.friction_impulse_error,
@@ -373,13 +320,12 @@ TABLE = (
         of_replay=True,
         default=(
             0.1,
-            "a tenth of the replay's friction impulse, or of mu N of a typical force for a fiftieth of the plan",
+            "a tenth of the replay's friction impulse, at least of a fiftieth of the plan",
         ),
         meaning="impulse of planned friction beyond what the replay has within a step of it, or below",
         quoted="friction that the replay does not have: impulse {}",
     ),
     MetricEntry(
-        name="replay_velocity_bound_violation",
         question=Question.POSSIBLE,
         units=_velocities,
         measure=measures.replay_velocity_bound_violation,
@@ -390,21 +336,16 @@ TABLE = (
         quoted="driven by its inputs the velocities leave their bounds by {}",
     ),
     MetricEntry(
-        name="defect",
         question=Question.SCHEME,
         units=_states,
         measure=measures.defect,
         applies=_is_scene,
         needs=("q", "v", "lam", "friction", "scheme"),
-        default=(
-            DEFECT,
-            "1e-6 of the nominal: a plan with a larger residual does not satisfy its declared scheme",
-        ),
+        default=(DEFECT, "1e-6 of the nominal, the solvers' own tolerance"),
         meaning="largest residual of the plan in its declared scheme, with its own contact forces (a collocation: with those of the true law at its stages)",
         quoted="it does not satisfy its declared scheme (residual {})",
     ),
     MetricEntry(
-        name="law_error",
         question=Question.SCHEME,
         units=_positions,
         measure=measures.law_error,
@@ -414,49 +355,24 @@ TABLE = (
         meaning="largest position difference between the plan and its inputs under the true law on the same grid: the contact law's share of replay_error",
         quoted="with exact contact on its own grid the motion departs from the plan by {}",
     ),
-    MetricEntry(
-        name="discrete_terminal_position_error",
-        question=Question.SCHEME,
-        units=_goal_positions,
-        measure=lambda case: measures.discrete_terminal(case, "position"),
-        applies=lambda scene: _is_scene(scene) and _has_goal_position(scene),
-        needs=("q", "v", "scheme"),
-        default=(
-            10.0,
-            "what the plan may miss the goal by, and ten times what a defect of 1e-6 in every step explains",
-        ),
-        meaning="norm of q_T - q_f in the plan's own time step with the true contact law (the paper's stability of gradient descent)",
-        quoted="with exact contact on its own grid the motion ends {} from the goal",
+    *_ends(
+        "discrete_",
+        Question.SCHEME,
+        "in the plan's own time step with the true contact law",
+        "with exact contact on its own grid the motion",
+        (("q", "v", "scheme"), ("q", "v", "scheme"), ("q", "v")),
+        (10.0, "the plan's own limit, and ten times what a defect of 1e-6 a step explains"),
     ),
     MetricEntry(
-        name="discrete_terminal_velocity_error",
-        question=Question.SCHEME,
-        units=_goal_velocities,
-        measure=lambda case: measures.discrete_terminal(case, "velocity"),
-        applies=lambda scene: _is_scene(scene) and _has_goal_velocity(scene),
-        needs=("q", "v", "scheme"),
-        default=(
-            10.0,
-            "what the plan may miss the goal by, and ten times what a defect of 1e-6 in every step explains",
-        ),
-        meaning="norm of v_T - v_f in the plan's own time step with the true contact law",
-        quoted="with exact contact on its own grid the motion ends with {} more or less than the goal's velocity",
-    ),
-    MetricEntry(
-        name="answer_error",
         question=Question.JUDGE,
-        units=_unit("1"),
         measure=measures.answer_error,
-        of_replay=False,
         applies=lambda scene: any(answer.measure for answer in scene.answers),
         default=(1.0, "the tolerance of the closed form"),
         meaning="largest distance of the replay from a closed form of the scene, in units of that answer's tolerance",
         quoted="the replay is {} tolerances off a closed form of the scene",
     ),
     MetricEntry(
-        name="energy_residual_relative",
         question=Question.JUDGE,
-        units=_unit("1"),
         measure=measures.energy_residual_relative,
         applies=_is_scene,
         of_replay=True,
@@ -465,86 +381,33 @@ TABLE = (
         quoted="the replay's energy does not balance by {} of what is turned over",
     ),
     MetricEntry(
-        name="cost",
-        question=Question.SHOWN,
-        units=_unit("1"),
         measure=measures.cost,
         applies=_is_scene,
         needs=("q", "v"),
         meaning="the task's cost as methods minimise it: the running cost at the starts of the plan's steps, and the final cost",
     ),
     MetricEntry(
-        name="physics",
-        question=Question.SHOWN,
         units=_unit("N^2"),
         measure=measures.physics,
         applies=lambda scene: _is_scene(scene) and _has_contacts(scene),
         needs=("lam", "q"),
         meaning="sum over steps and contacts of |lam (lam - k phi)|, k phi with its damping: the paper's physics",
     ),
+)
+# Metrics that explain a failure; a plan that holds has none.
+EXPLAINING = (
     MetricEntry(
-        name="terminal_error",
-        question=Question.SHOWN,
-        units=_states,
-        measure=measures.terminal_error,
-        applies=_has_goal,
-        needs=("q",),
-        meaning="norm of x_T - x_f in the plan, positions and velocities: the paper's stability",
-    ),
-    MetricEntry(
-        name="discrete_terminal_error",
-        question=Question.SHOWN,
-        units=_states,
-        measure=measures.discrete_terminal_error,
-        applies=lambda scene: _is_scene(scene) and _has_goal(scene),
-        needs=("q", "v"),
-        meaning="norm of x_T - x_f when the plan's inputs run through its own time step with the true contact law",
-    ),
-    MetricEntry(
-        name="replay_terminal_error",
-        question=Question.SHOWN,
-        units=_states,
-        measure=measures.replay_terminal_error,
-        applies=_has_goal,
-        of_replay=True,
-        meaning="norm of x_T - x_f when the plan's inputs drive the true continuous dynamics",
-    ),
-    MetricEntry(
-        name="replay_error_time",
-        question=Question.SHOWN,
-        units=_unit("s"),
-        measure=measures.replay_error_time,
-        needs=("q",),
-        meaning="when plan and replay differ most",
-    ),
-    MetricEntry(
-        name="grid_error",
-        question=Question.SHOWN,
         units=_positions,
         measure=measures.grid_error,
         applies=_is_scene,
         needs=("q", "v", "scheme"),
-        of_replay=False,
         meaning="largest position difference between the true law on the plan's grid and in continuous time: the discretisation error",
     ),
     MetricEntry(
-        name="grid_order",
-        question=Question.SHOWN,
-        units=_unit("1"),
         measure=measures.grid_order,
         applies=_is_scene,
         needs=("q", "v", "scheme"),
         meaning="order with which the discretisation error shrinks as the plan's own grid is refined under its inputs",
-    ),
-    MetricEntry(
-        name="energy_residual",
-        question=Question.JUDGE,
-        units=_unit("J"),
-        measure=measures.energy_residual,
-        applies=_is_scene,
-        of_replay=True,
-        meaning="self-check of the replay: work in - dissipated - change of energy, largest over time",
-        quoted="the replay's energy does not balance by {}",
     ),
 )
 
@@ -571,71 +434,25 @@ def _plan_share(case: Evidence) -> float:
     return share
 
 
-def _growth(case: Evidence) -> Growth:
-    if case.opened.growth is None:
-        raise Unmeasured("the true contact law leads out of every bound.")
-    return case.opened.growth
-
-
 # Feedback for exact plans on coarse grids (h w = 0.9) needs up to 0.23 through an impact, for
 # other plans some hundredths. Plans with force at a distance need 0.65 to 1.1.
 FEEDBACK = (
     MetricEntry(
         name=EFFORT,
         question=Question.MOTION,
-        units=_unit("1"),
         measure=lambda case: _effort(case).rms_share,
-        applies=lambda scene: any(
-            np.isfinite((item.lower, item.upper)).all() for item in scene.inputs
-        ),
-        default=(
-            FEEDBACK_EFFORT,
-            "a quarter of what the inputs can give, in the root mean square, corrects a plan; more makes another one",
-        ),
+        applies=_bounded(np.all),
+        default=(FEEDBACK_EFFORT, "a quarter of the inputs' half-range; more makes another plan"),
         meaning="root mean square of what the feedback added to the plan's inputs, as a share of half their range; the largest over the inputs",
         quoted="the RMS effort of the feedback is {} of the half-range of the inputs",
     ),
     MetricEntry(
         name=SHARE,
         question=Question.MOTION,
-        units=_unit("1"),
         measure=_plan_share,
-        default=(
-            FEEDBACK_SHARE,
-            "a quarter of what the plan itself gives, in the root mean square, corrects a plan; more makes another one",
-        ),
+        default=(FEEDBACK_SHARE, "a quarter of the plan's own inputs; more makes another plan"),
         meaning="root mean square of what the feedback added, as a share of that of the plan's own inputs, all inputs in halves of their ranges and averaged over a fiftieth of the plan",
         quoted="the RMS effort of the feedback is {} of what the plan's own inputs do",
     ),
-    MetricEntry(
-        name="feedback_peak",
-        question=Question.SHOWN,
-        units=_unit("1"),
-        measure=lambda case: _effort(case).peak_share,
-        meaning="largest value of what the feedback added, as a share of half the range",
-    ),
-    MetricEntry(
-        name="feedback_saturated",
-        question=Question.SHOWN,
-        units=_unit("1"),
-        measure=lambda case: _effort(case).saturated,
-        meaning="share of the steps in which the feedback stood at a bound",
-    ),
 )
 FOLLOWED = (*(_twin(entry) for entry in TABLE if entry.of_replay), *FEEDBACK)
-GROWTH = (
-    MetricEntry(
-        name="amplification",
-        question=Question.SHOWN,
-        units=_unit("1"),
-        measure=lambda case: _growth(case).amplification,
-        meaning="how many times larger an error of the positions may become along the plan in the open loop (nominals as units)",
-    ),
-    MetricEntry(
-        name="growth_rate",
-        question=Question.SHOWN,
-        units=_unit("1/s"),
-        measure=lambda case: _growth(case).rate,
-        meaning="rate with which amplification = exp(rate T)",
-    ),
-)

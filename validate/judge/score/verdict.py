@@ -10,8 +10,8 @@ is not answered yes, questions 4 and 5 may be answered by the replay with limite
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Literal, TypeAlias
 
@@ -105,13 +105,8 @@ class Metric:
     def held_to(self, limit: float, reason: str, *, default: bool) -> Metric:
         """Return the metric judged by a limit. Raises TypeError without a value."""
         margin = 1.0 if self.question is Question.JUDGE else MARGIN
-        return replace(
-            self,
-            limit=limit,
-            reason=reason,
-            ok=compare(self.value, self.error, limit, margin),  # type: ignore[arg-type]
-            default=default,
-        )
+        ok = compare(self.value, self.error, limit, margin)  # type: ignore[arg-type]
+        return replace(self, limit=limit, reason=reason, ok=ok, default=default)
 
 
 Answer: TypeAlias = Literal["yes", "no", "undecided", "not asked"]
@@ -122,8 +117,8 @@ class Score:
     """All metrics of one plan, and the verdict.
 
     - why: deciding sentence with cause and advice.
-    - cause: one word, "" if nothing is wrong: the failing or undecided metric, or `defect`,
-      `relaxed contact`, `unstable`, `coarse grid`, `motion`.
+    - cause: a code of validate.judge.score.cause.CAUSES, else the failing or undecided metric, ""
+      if nothing is wrong; cause_fields: the fields of its sentence.
     - metrics: tracked_<name> and feedback_<..> are those with feedback.
     - judged: replay of the verdict, "open" or "feedback".
     - waived, not_asked: with reasons.
@@ -134,6 +129,7 @@ class Score:
     verdict: Verdict
     why: str
     cause: str = ""
+    cause_fields: Mapping[str, str] = field(default_factory=dict)
     judged: Literal["open", "feedback"] = "open"
     questions: tuple[tuple[Question, Answer], ...] = ()
     waived: tuple[str, ...] = ()
@@ -158,11 +154,8 @@ class Score:
     @property
     def sentence(self) -> str:
         """Return verdict and reason in one sentence."""
-        return (
-            self.why
-            if self.why.startswith(self.verdict.value)
-            else f"{self.verdict.value}: {self.why}"
-        )
+        word = self.verdict.value
+        return self.why if self.why.startswith(word) else f"{word}: {self.why}"
 
 
 MARGIN = 10.0
@@ -177,11 +170,8 @@ _NOT_MENDED = (Question.TASK, Question.GOAL, Question.FORCES, Question.SCHEME)
 
 def compare(value: float, error: float, limit: float, margin: float = MARGIN) -> bool | None:
     """Return whether a value is below its limit, None if its error leaves that open."""
-    if value + margin * error <= limit:
-        return True
-    if value - margin * error > limit:
-        return False
-    return None
+    above, below = value - margin * error > limit, value + margin * error <= limit
+    return True if below else False if above else None
 
 
 def answer(metrics: Iterable[Metric]) -> Answer:
@@ -196,23 +186,14 @@ def answers(metrics: Sequence[Metric], *, with_feedback: bool = False) -> dict[Q
     """Return the answers to all questions; with_feedback: 4 and 5 by the tracked replay."""
     followed = [metric for metric in metrics if with_feedback and is_of_feedback(metric.name)]
     replaced = {metric.name.removeprefix(TRACKED) for metric in followed}
-    used = [
-        *followed,
-        *(
-            metric
-            for metric in metrics
-            if not is_of_feedback(metric.name) and metric.name not in replaced
-        ),
-    ]
-    result: dict[Question, Answer] = {
-        question: answer(metric for metric in used if metric.question is question)
-        for question in Question
-        if question.value
-    }
+    alone = [metric for metric in metrics if not is_of_feedback(metric.name)]
+    used = [*followed, *(metric for metric in alone if metric.name not in replaced)]
+    asked = [question for question in Question if question is not Question.SHOWN]
+    result: dict[Question, Answer] = {}
+    for question in asked:
+        result[question] = answer(metric for metric in used if metric.question is question)
     if result[Question.JUDGE] in ("no", "undecided"):
-        for question in _OF_REPLAY:
-            if result[question] != "not asked":
-                result[question] = "undecided"
+        result |= {of: "undecided" for of in _OF_REPLAY if result[of] != "not asked"}
     return result
 
 
@@ -224,9 +205,8 @@ def is_of_feedback(name: str) -> bool:
 def wants_feedback(metrics: Sequence[Metric]) -> bool:
     """Return whether question 4 is not answered yes, and no question fails despite feedback."""
     result = answers(metrics)
-    return result[Question.MOTION] in ("no", "undecided") and "no" not in [
-        result[question] for question in _NOT_MENDED
-    ]
+    fails = "no" in [result[question] for question in _NOT_MENDED]
+    return result[Question.MOTION] in ("no", "undecided") and not fails
 
 
 def verdict_of(found: dict[Question, Answer]) -> Verdict:

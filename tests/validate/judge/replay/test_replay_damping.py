@@ -108,7 +108,7 @@ def test_the_scene_meets_its_closed_forms():
     assert result.verdict is Verdict.CONSISTENT, result.why
     found = values(result.metrics)
     assert found["physics"] == 0.0
-    assert found["energy_residual"] < 1e-9
+    assert found["energy_residual_relative"] < 1e-9
     assert found["answer_error"] < 1.0
 
 

@@ -60,7 +60,7 @@ def test_an_exact_plan_is_followed_where_alone_it_falls(scene: Scene, plans: dic
     )
     assert (told.value("feedback_effort") or 1.0) < 0.25
     assert (told.value("feedback_share") or 1.0) < 0.4
-    assert (told.value("tracked_energy_residual") or 1.0) < 1e-9
+    assert (told.value("tracked_energy_residual_relative") or 1.0) < 1e-9
     planned = scene.task.step * plans["exact"].lam.sum()
     assert exact.tracked.contact_impulse[-1].sum() == pytest.approx(
         planned, rel=0.1

@@ -125,7 +125,7 @@ def test_an_exact_plan_needs_no_feedback(scene: Scene, hold: Hold):
 def test_energy_balances_with_the_inputs_that_were_applied(
     scene: Scene, still: Trajectory, caught: Replay
 ):
-    assert score(scene, still, caught).value("tracked_energy_residual") == pytest.approx(
+    assert score(scene, still, caught).value("tracked_energy_residual_relative") == pytest.approx(
         0.0, abs=1e-10
     )
     assert abs(caught.tracked.input_work[-1]) > 1e-3

@@ -11,11 +11,11 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.fmu import build_fmu
 from models.scene import Contact, Coordinate, Input, Parameter, Scene, Task
+from models.scene.impulses import excess_impulse, force_window
 from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.judge.replay.run import replay
-from validate.judge.score import Score, Verdict, equations, score
+from validate.judge.score import Score, Verdict, score
 from validate.judge.score.evidence import Evidence
-from validate.judge.score.forces import force_window
 from validate.judge.score.measures import MEASURES, ghost_impulse, missed_impulse
 
 
@@ -162,8 +162,8 @@ def test_contact_impulses_without_inertia_are_as_wrong_as_their_error_says_and_i
             case = Evidence(scene, replace(still, lam=planned), replayed)
             least, most = force_window(rows, case.step_of, STEPS, mean)
             for measure, true in (
-                (ghost_impulse, equations.excess_impulse(planned, most, case.h)),
-                (missed_impulse, equations.excess_impulse(least, planned, case.h)),
+                (ghost_impulse, excess_impulse(planned, most, case.h)),
+                (missed_impulse, excess_impulse(least, planned, case.h)),
             ):
                 measured = measure(case)
                 found.append((abs(measured.values - true), measured.error))

@@ -181,6 +181,36 @@ def test_slip_is_that_of_least_size_at_the_ends_of_a_step():
 # Motions
 
 
+def grid_errors(*errors: float, limit: float | None = 0.4, waived: bool = False) -> list[float]:
+    """Return `grid_errors` of motions with these errors of the second position; the replay rests."""
+    values = iter(errors)
+
+    def motion(parts: int) -> tuple[np.ndarray, None]:
+        return np.array([[0.0, 0.0], [0.0, next(values)]]), None
+
+    own = SimpleNamespace(value=None if waived else limit)
+    scene = SimpleNamespace(
+        limit=lambda name: own if name == "replay_error" and (limit or waived) else None,
+        coordinates=[SimpleNamespace(nominal=0.5), SimpleNamespace(nominal=2.0)],
+    )
+    case: Any = SimpleNamespace(scene=scene, replay_q=np.zeros((2, 2)), own_motion=motion)
+    return of("grid_errors", case)
+
+
+def test_grid_errors_end_at_a_quarter_of_the_limit():
+    assert grid_errors(0.8, 0.4, 0.05, 0.01) == [0.8, 0.4, 0.05]
+    assert grid_errors(0.8, 0.101, 0.0505) == [0.8, 0.101, 0.0505]
+    assert grid_errors(0.1) == [0.1]
+    assert grid_errors(0.00126, 0.00124, limit=None) == [0.00126, 0.00124]
+    assert grid_errors(100.0, waived=True) == [100.0]
+
+
+def test_grid_errors_end_after_two_idle_halvings_or_seven():
+    """A hundredth of the missing 0.9 counts as idle."""
+    assert len(grid_errors(*[1.0, 1.003] * 4)) == 3
+    assert len(grid_errors(*[1.0, 1.011] * 4)) == 8
+
+
 def test_without_inertia_a_step_takes_up_all_of_a_force():
     given = SimpleNamespace(equations=SimpleNamespace(relaxation_index=1,
         parameters=[SimpleNamespace(value=9.0), SimpleNamespace(value=0.5)]),
@@ -207,7 +237,6 @@ def test_the_own_motion_is_semi_implicit_euler_in_so_many_parts(t: list[float], 
     assert case.own_motion(parts)[0] == pytest.approx(np.array(q), abs=1e-13)
     if parts == 1:
         assert case.true_motion[1] == pytest.approx(np.array(v), abs=1e-13)
-        assert case.true_end == pytest.approx(np.concatenate([q[-1], v[-1]]), abs=1e-13)
 
 
 def test_the_own_motion_of_a_collocation_plan_is_that_of_its_scheme():
@@ -264,7 +293,7 @@ def test_between_rows_a_penetration_is_that_of_the_motion_under_the_inputs_of_it
                              v=np.array([start_v] * 4), applied=None,
                              lam=np.tile([1.5, 0.0], (4, 1)), friction=np.zeros((4, 0)))  # fmt: skip
     case.__dict__ |= {"step_of": np.array([0, 1, 1]), "duration": np.array([0.1, 0.05, 0.05])}
-    case._replay = SimpleNamespace(**vars(replay), outcome=ReplayOutcome.OK, ok=True)
+    case.replayed = SimpleNamespace(**vars(replay), outcome=ReplayOutcome.OK, ok=True)
     found = penetrations_within(case, 2, 1000)
     assert found.shape == (1001, 2)
     # From t = 0.15 s on with u1 = 20 - 100 (t - 0.1) N.
@@ -277,7 +306,7 @@ def test_between_rows_a_penetration_is_that_of_the_motion_under_the_inputs_of_it
         depth += (s[1] - s[0]) * rate
         depths.append(depth)
     assert found[:, 0] == pytest.approx(np.array(depths)[::20], abs=3e-4)
-    case._replay.applied = np.array([[0.0, 0.0], [-40.0, 0.0]])
+    case.replayed.applied = np.array([[0.0, 0.0], [-40.0, 0.0]])
     pulled = penetrations_within(case, 2, 1000)[-1, 0]
     assert pulled - found[-1, 0] == pytest.approx(-60.0 * 0.05**2 / 2, rel=0.05)
 
@@ -314,34 +343,41 @@ def test_a_contact_between_two_rows_is_as_deep_as_it_was_though_a_shallower_one_
 
 def test_what_has_left_every_bound_says_when():
     case = carts([0.0, 0.01])
-    case._replay = SimpleNamespace(
+    case.replayed = SimpleNamespace(
         outcome=ReplayOutcome.DIVERGED, t=np.array([0.0, 0.25, 0.75]), ok=False
     )
     with pytest.raises(LeavesBounds, match=r"leaves every bound after 0\.75 s"):
         case.replay  # noqa: B018
-    case._replay = SimpleNamespace(
+    case.replayed = SimpleNamespace(
         outcome=ReplayOutcome.CRASHED, t=np.array([0.0]), ok=False, message=""
     )
     with pytest.raises(Unmeasured, match=r"did not get to the end: The FMU crashed\.$"):
         case.replay  # noqa: B018
 
 
-def test_ends_ask_for_velocities_only_where_the_goal_has_one():
-    free = np.array([1.0, np.nan])
-    case: Any = SimpleNamespace(
-        goal=free,
+def test_end_error_asks_for_velocities_only_if_the_goal_has_one():
+    class Silent(SimpleNamespace):
+        """A plan and a replay without velocities."""
+
+        @property
+        def v(self) -> np.ndarray:
+            raise Unmeasured("no velocities.")
+
+        replay_v = v
+
+    case: Any = Silent(
+        goal=np.array([1.0, np.nan]),
         scene=SimpleNamespace(nq=1),
-        q=np.array([[1.0], [2.0]]),
-        need=lambda part: asked.append(part),
+        q=np.array([[1.0], [3.0]]),
+        replay_q=np.array([[1.0], [1.5]]),
+        error=SimpleNamespace(position=0.1, state=0.5),
     )
-    asked: list[str] = []
-    assert of("end", case).tolist() == [2.0, 0.0]
-    case.goal, case.v = np.array([np.nan, 3.0]), np.array([[5.0], [6.0]])
-    assert of("end", case).tolist() == [2.0, 6.0]
-    case.replay = SimpleNamespace(end="there")
-    assert (of("replay_end", case), asked) == ("there", ["q", "v"])
-    case.goal, asked[:] = free, []
-    assert (of("replay_end", case), asked) == ("there", ["q"])
+    assert measures.end_error(case, "", "").values == 2.0
+    assert measures.end_error(case, "replay_", "").values == 0.5
+    case.goal = np.array([np.nan, 3.0])
+    for of in ("", "replay_"):
+        with pytest.raises(Unmeasured, match="no velocities"):
+            measures.end_error(case, of, "")
 
 
 def test_a_window_of_forces_knows_their_means_where_impulses_are_told():
@@ -353,14 +389,18 @@ def test_a_window_of_forces_knows_their_means_where_impulses_are_told():
         need=lambda part: None,
         trajectory=SimpleNamespace(steps=3, t=np.array([0.0, 0.2, 0.4, 0.6])),
         step_of=np.array([0, 0, 1, 1, 2, 2]),
-        replay=SimpleNamespace(lam=lam, contact_impulse=impulse, knots=np.array([0, 2, 4, 6])),
+        replayed=SimpleNamespace(
+            lam=lam, contact_impulse=impulse, knots=np.array([0, 2, 4, 6]), ok=True
+        ),
     )  # fmt: skip
+    case.replay, case._replayed_means = case.replayed, of("_replayed_means", case)
     least, largest = of("force_window", case)
     assert (least.ravel().tolist(), largest.ravel().tolist()) == (
         [0.0, 0.0, 0.0],
         [pytest.approx(3.0), 5.0, 5.0],
     )
     case.replay.contact_impulse = None
+    case._replayed_means = of("_replayed_means", case)
     assert of("force_window", case)[1].ravel().tolist() == [0.0, 5.0, 5.0]
 
 

@@ -144,8 +144,7 @@ def test_a_name_that_no_metric_has_is_no_metric_that_was_not_measured(
     found = score(scene, plan, replayed)
     assert found.value("replay_error") == found.metric("replay_error").value
     assert [
-        found.value(name)
-        for name in ("friction_violation", "tracked_replay_error", "feedback_peak")
+        found.value(name) for name in ("friction_violation", "tracked_replay_error", "grid_order")
     ] == [None] * 3
     for name, says in (
         ("replay_eror", "no metric 'replay_eror'; did you mean replay_error?"),
@@ -158,7 +157,7 @@ def test_a_name_that_no_metric_has_is_no_metric_that_was_not_measured(
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("beauty", "'beauty' … no metric; the metrics are start_error,"),
+        ("beauty", "beauty, which is no metric; the metrics are start_error,"),
         ("replay_eror", "did you mean replay_error?"),
         ("terminal_error",
          "shown, not judged; limit terminal_position_error and terminal_velocity_error"),
@@ -166,7 +165,7 @@ def test_a_name_that_no_metric_has_is_no_metric_that_was_not_measured(
          "limit replay_terminal_position_error and replay_terminal_velocity_error"),
         ("physics", "shown, not judged; limit physics_scaled."),
         ("grid_error", "shown, not judged; limit replay_error, which it explains."),
-        ("replay_error_time", "shown, not judged; leave it out."),
+        ("grid_order", "shown, not judged; leave it out."),
     ],
 )  # fmt: skip
 def test_a_limit_that_could_judge_nothing_is_refused_with_its_mend(

@@ -116,55 +116,15 @@ def test_a_contact_that_pushes_while_its_gap_is_open_has_a_map_that_is_wrong(con
     measures._check_gaps(foreign(lam, gap))
 
 
-def refined(
-    errors: list[float], limit: float | None = 0.4, waived: bool = False
-) -> tuple[float, list[int]]:
-    """The order of discretisation errors that each halving leaves, and the parts that were asked for; the replay stands still."""
-    asked: list[int] = []
-
-    def motion(parts: int) -> np.ndarray:
-        asked.append(parts)
-        return np.array([[0.0, 0.0], [0.0, errors[len(asked)]]])
-
-    case: Any = SimpleNamespace(
-        true_motion=(np.array([[0.0, 0.0], [errors[0], 0.0]]), None),
-        replay_q=np.zeros((2, 2)),
-        error=SimpleNamespace(position=0.0),
-        scene=SimpleNamespace(
-            limit=lambda name: (
-                SimpleNamespace(value=None if waived else limit)
-                if name == "replay_error" and (limit or waived)
-                else None
-            ),
-            nq=2,
-            coordinates=[SimpleNamespace(nominal=0.5), SimpleNamespace(nominal=2.0)],
-        ),
-        own_motion=lambda parts: (motion(parts), None),
-    )
-    return measures.grid_order(case), asked
-
-
-def test_the_order_of_a_grid_is_that_of_its_last_halving():
-    """Until a quarter of the limit is reached, two halvings move next to nothing, or seven times."""
-    assert refined([0.8, 0.4, 0.05]) == (pytest.approx(3.0), [2, 4])
-    assert refined([0.8, 0.101, 0.0505]) == (pytest.approx(1.0), [2, 4])
-    assert refined([0.8, 0.1]) == (pytest.approx(3.0), [2])
-    assert refined([0.8, 0.0]) == (7, [2])
-    assert refined([1.0, 1.5] * 4) == (
-        pytest.approx(math.log2(1 / 1.5)),
-        [2, 4, 8, 16, 32, 64, 128],
-    )
-    for idle, parts in (
-        (1.003, [2, 4, 8]),
-        (1.011, [2, 4, 8, 16, 32, 64, 128]),
-    ):  # a hundredth of the 0.9 that are missing
-        assert refined([1.0, *[idle, 1.0] * 4][:8])[1] == parts
+def test_grid_order_is_that_of_the_last_halving():
+    for errors, order in (
+        ([0.8, 0.4, 0.05], 3.0), ([0.8, 0.101, 0.0505], 1.0), ([0.8, 0.0], 7.0),
+        ([1.0, 1e-9], 7.0), ([1.0, 1.5], math.log2(1 / 1.5)),
+    ):  # fmt: skip
+        case: Any = SimpleNamespace(grid_errors=errors)
+        assert measures.grid_order(case) == pytest.approx(order)
     with pytest.raises(Unmeasured, match="far below the limit"):
-        refined([0.1])
-    for options in ({"limit": None}, {"waived": True}):  # a hundredth of the smaller nominal
-        assert refined([0.00126, 0.00063], **options) == (pytest.approx(1.0), [2])
-        with pytest.raises(Unmeasured):
-            refined([0.00125], **options)
+        measures.grid_order(SimpleNamespace(grid_errors=[0.1]))
 
 
 @pytest.mark.parametrize("applied", [None, np.array([[7.0], [8.0]])])
@@ -210,7 +170,7 @@ def test_the_end_on_its_own_grid_may_miss_what_the_plan_may():
             scene=scene,
             trajectory=SimpleNamespace(steps=4),
             rounding={"q": np.array([[0.01]])},
-            true_end=end,
+            true_motion=(end[None, :1], end[None, 1:]),
             goal=goal,
         )
 
@@ -219,13 +179,13 @@ def test_the_end_on_its_own_grid_may_miss_what_the_plan_may():
         (SimpleNamespace(value=None), 0.0),
         (SimpleNamespace(value=0.3), 0.3),
     ):
-        found = measures.discrete_terminal(case(limit), "velocity")
+        found = measures.end_error(case(limit), "discrete_", "velocity")
         assert (found.values, found.allowed, found.scales) == (
             0.75,
             allowed,
             pytest.approx(4 * (1e-6 * 0.5 + 0.01)),
         )
-    assert measures.discrete_terminal(case(None), "position").values == 4.5
+    assert measures.end_error(case(None), "discrete_", "position").values == 4.5
 
 
 def test_a_collocation_plan_without_a_solution_has_left_its_scheme():

@@ -1,6 +1,5 @@
 """What a verdict says: what each cause needs to be said, what keeps it unsaid, and how numbers are quoted."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -17,27 +16,31 @@ from models.schemes import Scheme
 from models.trajectory import Trajectory
 from tests.validate.judge.score.test_score_verdict import (
     BELOW,
-    GRID,
     MISS,
     SCENE,
     STRAY,
     metric,
-    metric_of_growth,
+    scored,
     told,
 )
 from validate.judge.judgement import judge
-from validate.judge.score import Metric, Question, Verdict, cause, score
-from validate.judge.score.verdict import EFFORT, Unmeasured
+from validate.judge.score import Metric, Question, Verdict, score
+from validate.judge.score.cause import find_cause, rounded
+from validate.judge.score.evidence import Evidence
+from validate.judge.score.sentence import percent, quote
+from validate.judge.score.verdict import EFFORT
 
 
 def test_feedback_that_fails_too_says_by_what():
-    tracked: Any = SimpleNamespace(tracked="a replay", ok=True)
+    tracked: Any = SimpleNamespace(tracked="a replay", ok=True, growth=None)
     effort = metric(EFFORT, False, value=0.5, limit=0.25, unit="1")
     said = " With feedback too: the RMS effort of the feedback is 50 % of the half-range of the inputs, limit 25 %."
     assert told(MISS, effort, replay=tracked).endswith(said)
     assert "With feedback" not in told(MISS, replay=tracked)
     assert "With feedback" not in told(MISS, effort, replay=None)
-    assert "With feedback" not in told(MISS, effort, replay=SimpleNamespace(tracked=None, ok=True))
+    assert "With feedback" not in told(
+        MISS, effort, replay=SimpleNamespace(tracked=None, ok=True, growth=None)
+    )
     fine = metric("start_error", False, value=0.1, limit=1e-6)
     assert "With feedback" not in told(fine, BELOW, effort, replay=tracked), (
         "the inputs alone give the motion"
@@ -55,17 +58,19 @@ def test_a_depth_is_blamed_on_the_contact_that_is_nearest_to_its_own_end():
             why, f"contact {contact.name} ({contact.bodies[0]} and {contact.bodies[1]}) ends, "
         )
         assert contact.depth_reason in why
-    for replayed in (None, SimpleNamespace(ok=False, gap=gap, tracked=None)):
+    for replayed in (None, SimpleNamespace(ok=False, gap=gap, tracked=None, growth=None)):
         assert "beyond the depth" not in told(deep, replay=replayed)
     assert "beyond the depth" not in told(
-        deep, replay=SimpleNamespace(ok=True, gap=gap, tracked=None), scene=SimpleNamespace()
+        deep,
+        replay=SimpleNamespace(ok=True, gap=gap, tracked=None, growth=None),
+        scene=SimpleNamespace(),
     )
 
 
 @pytest.mark.parametrize(
     ("first", "says"),
     [
-        (metric("defect", False), "; … leave the declaration of the scheme out"),
+        (metric("defect", False), "does not satisfy … limit 0.06 m."),
         (metric("duration_error", False, unit="s"), " (it lasts 5 s, the task 5 s)"),
         (metric("bound_violation", False, unit="N"), "limit 0.06 N."),
         (metric("friction_violation", False, unit="N"), "limit 0.06 N."),
@@ -88,199 +93,79 @@ def test_each_metric_that_fails_first_has_its_cause(first: Metric, says: str):
 def test_a_number_and_its_limit_have_the_digits_that_tell_them_apart(
     name: str, unit: str, value: float, limit: float, says: str
 ):
-    assert cause._quote(metric(name, False, value=value, limit=limit, unit=unit)).endswith(
+    assert quote(metric(name, False, value=value, limit=limit, unit=unit)).endswith(
         says.rstrip(".")
     )
 
 
-def test_digits_that_are_few_may_be_why_forces_are_not_those_of_the_motion():
-    few, many = (
-        SimpleNamespace(q=np.array([[0.25, 2.0], [0.31, last]])) for last in (2.5, 2.50041)
-    )
-    assert cause._few_digits(few) == "the plan's own digits: its positions are given to 0.01"
-    assert cause._few_digits(many) == ""
+def test_few_digits_named_for_forces_and_velocities_only():
     for name in ("contact_law_error", "contact_force_error", "velocity_error"):
-        assert "; it may be the plan's own digits: its" in told(metric(name, False))
+        assert "; it may be the plan's own digits: its positions are given to 1" in told(
+            metric(name, False)
+        )
     assert "digits" not in told(metric("replay_error", False, value=0.42, limit=0.1), scheme=None)
 
 
-def test_a_law_that_the_motion_contradicts_is_not_blamed():
-    same = "; its inputs give its motion all the same: if another integrator made it"
+@pytest.mark.parametrize(
+    ("last", "digits"), [(2.5, "0.1"), (2.54, "0.01"), (2.504, "0.001"), (2.5004, None)]
+)
+def test_few_digits_are_those_of_all_positions(last: float, digits: str | None):
+    first = metric("velocity_error", False)
+    made = scored(first)
+    q = made.case.trajectory.q.copy()
+    q[0, 0] = last
+    made = replace(made, case=Evidence(SCENE, replace(made.case.trajectory, q=q), None))
+    assert find_cause(made, first).fields.get("digits") == digits
+
+
+def test_law_error_of_a_plan_that_gives_its_motion_not_blamed_on_relaxed_contact():
     for name in (
         "law_error",
         "discrete_terminal_position_error",
         "discrete_terminal_velocity_error",
     ):
-        assert not unsaid(told(metric(name, False), BELOW), same)
+        assert told(metric(name, False), BELOW).endswith("limit 0.06 m.")
 
 
-def test_a_motion_that_is_impossible_is_blamed_on_the_grid_where_that_has_an_order():
-    """Only where the planned forces are those of contact."""
-    missed = metric("missed_impulse", False, unit="N s")
-    order = metric("grid_order", None, value=1.0, limit=None, unit="1")
-    exact = {"questions": {Question.FORCES: "yes"}}
-    assert ": discretisation error 0.079 m; the contact forces are correct." in told(
-        missed, GRID, order, **exact
-    )
-    assert not unsaid(
-        told(missed, GRID, order, metric_of_growth(100.0), **exact),
-        "correct; unstable … (amplification 100)",
-    )
-    assert "discretisation" not in told(
-        missed, GRID, order, questions={Question.FORCES: "not asked"}
-    )
-    faster = metric("replay_velocity_bound_violation", False, unit="m/s")
-    assert told(faster, GRID, order).endswith(": discretisation error 0.079 m."), (
-        "whatever is said of forces"
-    )
+def test_ghost_impulse_without_a_grid_has_no_cause():
     ghost = metric("ghost_impulse", False, unit="N s")
-    assert told(ghost).endswith("limit 0.06 N s: force at a distance.")
-    assert "force at a distance" not in told(ghost, GRID, order, **exact)
-    for others in (
-        (GRID,),
-        (order,),
-        (order, metric("grid_error", None, value=None, limit=None)),
-        (GRID, metric("grid_order", None, value=None, limit=None)),
-    ):
-        assert "discretisation" not in told(missed, *others, **exact)
-    assert "discretisation" not in told(
-        metric("friction_violation", False, unit="N"), GRID, order, **exact
+    assert told(ghost).endswith("limit 0.06 N s.")
+
+
+def test_coarse_grid_says_what_the_halved_step_gives():
+    """Two halvings from 0.01 s."""
+    first = metric("replay_terminal_position_error", False, value=0.08, limit=0.06)
+    shown = [
+        metric(name, None, value=value, limit=None)
+        for name, value in (("grid_error", 0.09), ("grid_order", 1.0))
+    ]
+    why = told(first, *shown, grid_errors=[0.09, 0.03, 0.004])
+    assert why.endswith(
+        ": discretisation error 0.09 m; at h = 0.0025 s with these inputs held it is 0.004 m."
     )
 
 
-def test_what_is_lost_on_its_own_grid_is_unstable_where_errors_grow_and_the_planned_forces_are_those_of_contact():
-    lost = (STRAY, GRID, metric("law_error", None, value=4.0, limit=None), metric_of_growth(1e6))
-    why = told(*lost, questions={Question.FORCES: "yes"})
-    assert not unsaid(
-        why,
-        ": off by 4 m on its own grid already; the contact forces are correct; unstable … (amplification 1e+06).",
-    )
-    assert not unsaid(told(*lost), ": a relaxed contact law (4 m on its own grid already)")
-
-
-STEP = SCENE.task.step
-
-
-@pytest.mark.parametrize(
-    ("changes", "says"),
-    [
-        (
-            {},
-            f"forces are correct. Try h = {0.8 * 0.06 / 0.08 * STEP:.2g} s … or `collocation`.",
-        ),
-        # A second order takes the root; beside a larger grid error that one counts.
-        (
-            {"scheme": Scheme.RADAU_IIA_2},
-            f"Try h = {(0.8 * 0.06 / 0.08) ** 0.5 * STEP:.2g} s (predicted",
-        ),
-        ({"grid": 0.16}, f"Try h = {0.8 * 0.06 / 0.16 * STEP:.2g} s"),
-        ({"grid": 0.0}, "the contact forces are correct."),
-        (
-            {"value": 0.0601, "limit": 0.06, "grid": 1e-3},
-            f"Try h = {0.8 * 0.06 / 0.0601 * STEP:.2g} s",
-        ),
-        ({"limit": 0.0}, "the contact forces are correct."),
-        ({"law": 0.0799}, "discretisation error 0.08 m"),
-        ({"law": 0.0801}, "relaxed contact law (0.0801 m"),
-        ({"growth": 100.0}, "forces are correct; unstable … (amplification 100)"),
-        ({"growth": 99.0}, "the contact forces are correct. Try"),
-    ],
-)
-def test_what_a_grid_is_blamed_for_and_which_would_do(changes: dict[str, Any], says: str):
-    given = {
-        "value": 0.08,
-        "limit": 0.06,
-        "grid": 0.08,
-        "scheme": Scheme.SEMI_IMPLICIT_EULER,
-    } | changes
-    first = metric(
-        "replay_terminal_position_error", False, value=given["value"], limit=given["limit"]
-    )
-    metrics = [first, metric("grid_error", None, value=given["grid"], limit=None)]
-    metrics += [metric("law_error", None, value=given["law"], limit=None)] if "law" in given else []
-    metrics += [metric_of_growth(given["growth"])] if "growth" in given else []
-    assert not unsaid(told(*metrics, scheme=given["scheme"]), says)
-
-
-@pytest.mark.parametrize(
-    ("errors", "factor"),
-    [
-        (
-            (0.5, 0.5, 0.04),
-            (0.048 / 0.04) ** (1.0 / np.log2(0.5 / 0.04)) / 8,
-        ),  # far too long at first: only the last halving says how it shrinks
-        ((0.25, 0.125, 0.0625, 0.03125), 0.048 / 0.5),
-        ((0.6, 0.3), 0.048 / 0.3 / 4),
-        ((0.048,), 0.5),
-        ((0.4, 0.0), 0.25),
-    ],
-)
-def test_a_step_that_is_far_too_long_is_halved_before_its_order_is_trusted(
-    errors: tuple[float, ...], factor: float
-):
-    def halved(near: float) -> Iterator[float]:
-        assert near == pytest.approx(0.048)
-        yield from errors
-        raise Unmeasured("it diverges.")
-
-    first = metric("replay_error", False, value=0.4, limit=0.06)
-    why = told(
-        first,
-        metric("grid_error", None, value=0.5, limit=None),
-        scheme=Scheme.SEMI_IMPLICIT_EULER,
-        halved=halved,
-    )
-    assert not unsaid(why, f"Try h = {factor * STEP:.2g} s")
-
-
-@pytest.mark.parametrize(
-    ("errors", "helps"),
-    [
-        ((0.5, 0.5), False),
-        ((0.5, 0.496), False),
-        ((0.5, 0.494), True),
-        ((0.5, 0.0481), True),
-        ((0.5, 0.6), False),
-        ((0.047, 0.047), True),
-    ],
-)
-def test_no_step_is_named_where_shorter_ones_bring_it_no_nearer(
-    errors: tuple[float, ...], helps: bool
-):
-    first = metric("replay_error", False, value=0.4, limit=0.06)
-    why = told(
-        first,
-        metric("grid_error", None, value=0.5, limit=None),
-        scheme=Scheme.SEMI_IMPLICIT_EULER,
-        halved=lambda near: iter(errors),
-    )
-    assert ("Try h = " in why, "half the step, these inputs held, brings it no nearer" in why) == (
-        helps,
-        not helps,
-    )
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["physics_scaled", "contact_law_error", "friction_violation", "friction_dissipation_error"],
-)
-def test_contact_forces_that_fail_are_not_called_correct(name: str):
-    why = told(MISS, GRID, metric(name, False), metric_of_growth(500.0), questions={})
-    assert "driven by" in why
-    cause = told(metric("replay_error", False), GRID, metric_of_growth(500.0), metric(name, False))
-    assert "the contact forces are correct" not in cause
-
-
-def test_a_grid_that_nobody_knows_leaves_instability_or_nothing():
+def test_unstable_or_nothing_without_a_known_grid():
     unknown = metric("grid_error", None, value=None, limit=None)
     for others in ((), (unknown,)):
         assert told(STRAY, *others).endswith("limit 0.06 m.")
         assert "; unstable in the open loop (amplification 500)." in told(
-            STRAY, *others, metric_of_growth(500.0)
+            STRAY, *others, growth=500.0
         )
-    broken = told(STRAY, GRID, metric("defect", False, value=2e-3, limit=1e-6, unit="m"))
+    broken = told(STRAY, metric("defect", False, value=2e-3, limit=1e-6, unit="m"))
     assert not unsaid(
-        broken, "limit 0.06 m: … not satisfy its declared scheme (residual 0.002 m), limit 1e-06 m"
+        broken, "limit 0.06 m; it does not solve its declared scheme (residual 0.002 m); also"
+    )
+
+
+def test_motion_without_a_cause_says_where_it_leaves_the_plan():
+    """The second cart leaves the plan at rest by 0.1 m a second."""
+    t = SCENE.task.step * np.arange(SCENE.task.steps + 1)
+    q = np.column_stack([0.0 * t, 0.1 * t, 0.0 * t])
+    replayed = SimpleNamespace(q=q, knots=np.arange(len(t)), ok=True, growth=None, tracked=None)
+    first = metric("replay_error", False, value=0.5, limit=0.06)
+    assert not unsaid(
+        told(first, replay=replayed), "limit 0.06 m; q2 is more than 0.06 m … from t = 0.61 s on."
     )
 
 
@@ -348,11 +233,7 @@ def test_what_an_fmu_shows_is_said_by_the_numbers_of_its_questions():
     )
 
 
-def test_only_what_holds_by_a_replay_names_its_grid_and_a_limit_of_nothing_is_no_measure():
-    near = metric("defect", True, value=9e-7, limit=1e-6)
-    assert "discretisation" not in told(
-        near, metric("replay_error", True, value=0.01), GRID, verdict=Verdict.HOLDS
-    )
+def test_holds_zero_limit_is_not_the_closest():
     nothing = metric("start_error", True, value=0.0, limit=0.0)
     assert not unsaid(
         told(nothing, metric("replay_error", True, value=0.01), verdict=Verdict.HOLDS),
@@ -370,9 +251,7 @@ def test_with_feedback_the_end_is_quoted_and_what_it_took():
         bare,
         "not for the inputs alone: … by 0.07 m, limit 0.06 m; with LQR feedback, RMS effort 12 % … it holds.",
     )
-    assert "unstable" not in told(
-        MISS, metric_of_growth(100.0), verdict=Verdict.HOLDS_WITH_FEEDBACK
-    )
+    assert "unstable" not in told(MISS, growth=99.0, verdict=Verdict.HOLDS_WITH_FEEDBACK)
     tracked = metric("tracked_replay_error", True, value=0.01)
     assert not unsaid(
         told(tracked, verdict=Verdict.HOLDS_WITH_FEEDBACK),
@@ -392,7 +271,7 @@ def test_with_feedback_the_end_is_quoted_and_what_it_took():
     ],
 )
 def test_percents(value: float, said: str):
-    assert cause.percent(value) == said
+    assert percent(value) == said
 
 
 @pytest.mark.parametrize(
@@ -407,7 +286,7 @@ def test_percents(value: float, said: str):
     ],
 )
 def test_rounded_numbers(value: float, said: str):
-    assert cause.rounded(value) == said
+    assert rounded(value) == said
 
 
 def _pushed(
@@ -454,7 +333,7 @@ def test_forces_of_another_stiffness_or_unit_are_not_called_relaxed():
             why = score(scene, replace(plan, scheme=scheme), None).why
             assert not unsaid(
                 why,
-                f": they are {times} times what the contact law gives, as of another stiffness or another unit",
+                f": they are {times} times what the contact law gives, as of another stiffness or unit",
             ), why
             assert "relaxed" not in why
     for relaxed in (
@@ -485,7 +364,7 @@ def test_angles_that_are_wrapped_are_told():
         for missing in (frozenset[str](), frozenset({"v", "lam"})):
             why = judge(scene, replace(plan, q=wrapped, missing=missing)).score.why
             assert (
-                "its angles are wrapped, where those of a plan run on from the task's start (numpy.unwrap)"
+                "; angle theta is wrapped: angles run on from the task's start (numpy.unwrap)"
                 in why
             ), why
     for right in (

@@ -13,13 +13,13 @@ from models.catalog import load_scene
 from models.errors import SceneError, TrajectoryError
 from models.scene import Limit, Scene
 from validate.judge import score as score_module
-from validate.judge.replay.result import Growth, ReplayOutcome
+from validate.judge.replay.result import ReplayOutcome
 from validate.judge.replay.wiring import Effort
 from validate.judge.score import _check_belongs, _metric, _not_asked, _of_what_is_asked, _worst
 from validate.judge.score import table as module
 from validate.judge.score.evidence import Evidence
 from validate.judge.score.measures import Measured
-from validate.judge.score.table import FEEDBACK, FOLLOWED, GROWTH, TABLE, MetricEntry
+from validate.judge.score.table import EXPLAINING, FEEDBACK, FOLLOWED, TABLE, MetricEntry
 from validate.judge.score.verdict import (
     Contradicted,
     LeavesBounds,
@@ -38,6 +38,7 @@ ROWS = """
     velocity_bound_violation 1 [m/s] v 1e-06 - d
     terminal_position_error 2 [m] q - - ac
     terminal_velocity_error 2 [m/s] v - - ac
+    terminal_error None [m, m/s] q - - ac
     velocity_error 3 [m] q,v,no scheme 0.01 - abcd
     contact_law_error 3 [N s] lam,q,no scheme 0.01 - abcd
     contact_force_error 3 [N] lam,q,no scheme 0.005 - abcd
@@ -48,6 +49,7 @@ ROWS = """
     replay_error 4 [m] q 0.01 replay abcd
     replay_terminal_position_error 4 [m] - - replay ac
     replay_terminal_velocity_error 4 [m/s] - - replay ac
+    replay_terminal_error None [m, m/s] - - replay ac
     replay_cost 4 [1] - - replay abcd
     max_penetration 5 [m] - 1.0 replay abcd
     ghost_impulse 5 [N s] lam 0.01 replay abcd
@@ -58,23 +60,15 @@ ROWS = """
     law_error 6 [m] q,v,scheme 10.0 - abcd
     discrete_terminal_position_error 6 [m] q,v,scheme 10.0 - ac
     discrete_terminal_velocity_error 6 [m/s] q,v,scheme 10.0 - ac
+    discrete_terminal_error None [m, m/s] q,v - - ac
     answer_error None [1] - 1.0 - b
     energy_residual_relative None [1] - 1e-06 replay abcd
     cost None [1] q,v - - abcd
     physics None [N^2] lam,q - - abcd
-    terminal_error None [m, m/s] q - - ac
-    discrete_terminal_error None [m, m/s] q,v - - ac
-    replay_terminal_error None [m, m/s] - - replay ac
-    replay_error_time None [s] q - - abcd
-    grid_error None [m] q,v,scheme - - abcd
-    grid_order None [1] q,v,scheme - - abcd
-    energy_residual None [J] - - replay abcd
     feedback_effort 4 [1] - 0.25 - acd
     feedback_share 4 [1] - 0.25 - abcd
-    feedback_peak None [1] - - - abcd
-    feedback_saturated None [1] - - - abcd
-    amplification None [1] - - - abcd
-    growth_rate None [1/s] - - - abcd"""
+    grid_error None [m] q,v,scheme - - abcd
+    grid_order None [1] q,v,scheme - - abcd"""
 SCENES = {"a": "transport", "b": "bouncing_mass", "c": "hopper", "d": "wall_pendulum"}
 
 
@@ -84,9 +78,13 @@ def test_every_row_of_the_table_stands_as_it_was_decided():
     found = [
         f"{row.name} {row.question.number} [{row.unit(scenes['a'])}] {','.join(row.needs) or '-'} {row.default[0] if row.default else '-'} "
         f"{'replay' if row.of_replay else '-'} {''.join(letter for letter, scene in scenes.items() if row.applies(scene))}"
-        for row in (*TABLE, *FEEDBACK, *GROWTH)
+        for row in (*TABLE, *FEEDBACK, *EXPLAINING)
     ]
     assert found == [line.strip() for line in ROWS.strip().splitlines()]
+
+
+def coordinate(bounded: bool = False) -> Any:
+    return SimpleNamespace(unit="m", velocity_unit="m/s", has_velocity_bounds=bounded)
 
 
 def foreign(**asked: Any) -> Any:
@@ -96,7 +94,7 @@ def foreign(**asked: Any) -> Any:
         "nf": 0,
         "nq": 1,
         "inputs": [],
-        "coordinates": [],
+        "coordinates": [coordinate()],
         "depths": (),
         "answers": (),
     }
@@ -122,7 +120,7 @@ def goal(*of: float | None) -> Any:
         ({"inputs": [bounds(-1.0, math.inf)]}, {"bound_violation"}),
         ({"inputs": [bounds(-1.0, 1.0), bounds(-math.inf, math.inf)]},
          {"bound_violation", "feedback_effort"}),
-        ({"coordinates": [SimpleNamespace(has_velocity_bounds=has) for has in (False, True)]},
+        ({"coordinates": [coordinate(bounded=True)]},
          {"velocity_bound_violation", "replay_velocity_bound_violation"}),
         ({"task": goal(1.0, None)},
          {"terminal_position_error", "replay_terminal_position_error", "terminal_error",
@@ -145,15 +143,10 @@ def test_an_fmu_is_asked_only_what_it_can_show(asked: dict[str, Any], rows: set[
         "start_error",
         "velocity_error",
         "replay_error",
-        "replay_error_time",
         "feedback_share",
-        "feedback_peak",
-        "feedback_saturated",
-        "amplification",
-        "growth_rate",
     }
     assert {
-        row.name for row in (*TABLE, *FEEDBACK, *GROWTH) if row.applies(foreign(**asked))
+        row.name for row in (*TABLE, *FEEDBACK, *EXPLAINING) if row.applies(foreign(**asked))
     } == rows | always
 
 
@@ -181,12 +174,8 @@ def test_units_of_several_components_are_told_once_each():
 
 
 def test_each_row_measures_what_it_is_called():
-    special = {
-        "discrete_terminal_position_error",
-        "discrete_terminal_velocity_error",
-    }
     for row in TABLE:
-        if row.name not in special:
+        if "terminal" not in row.name:
             assert row.measure is getattr(module.measures, row.name)
         assert row.meaning != ""
 
@@ -195,7 +184,6 @@ def test_what_is_judged_and_what_is_shown_of_the_judge():
     assert [row.name for row in TABLE if row.question is Question.JUDGE] == [
         "answer_error",
         "energy_residual_relative",
-        "energy_residual",
     ]
 
 
@@ -209,7 +197,7 @@ def test_feedback_is_measured_by_its_effort():
         tracked = None if effort is None else SimpleNamespace(effort=effort)
         return SimpleNamespace(opened=SimpleNamespace(tracked=tracked))
 
-    assert [row.measure(case(EFFORT)) for row in FEEDBACK] == [0.125, 0.5, 0.25, 0.75]
+    assert [row.measure(case(EFFORT)) for row in FEEDBACK] == [0.125, 0.5]
     for row in FEEDBACK:
         with pytest.raises(Unmeasured):
             row.measure(case(None))
@@ -218,15 +206,6 @@ def test_feedback_is_measured_by_its_effort():
     )
     with pytest.raises(LeavesBounds):
         FEEDBACK[1].measure(case(still))
-
-
-def test_growth_is_measured_where_there_is_one():
-    growth = Growth(amplification=math.exp(6.0), begin=0.0, end=1.0, duration=2.0)
-    case: Any = SimpleNamespace(opened=SimpleNamespace(growth=growth))
-    assert [row.measure(case) for row in GROWTH] == pytest.approx([math.exp(6.0), 3.0])
-    for row in GROWTH:
-        with pytest.raises(Unmeasured):
-            row.measure(SimpleNamespace(opened=SimpleNamespace(growth=None)))
 
 
 def test_each_metric_of_the_replay_has_a_twin_that_asks_the_one_with_feedback():
@@ -524,7 +503,7 @@ def test_what_cannot_be_measured_leaves_a_question_open_for_scenes_and_failed_re
         SimpleNamespace(missing=frozenset(), scheme=None),
         SimpleNamespace(outcome=ReplayOutcome.OK, ok=True),
     )
-    foreign = SimpleNamespace(limit=lambda name: None, coordinates=[])
+    foreign = SimpleNamespace(limit=lambda name: None, coordinates=[], nf=0, nc=0)
     for subject, replayed, of_replay, is_open in (
         (scene, there, False, True), (scene, there, True, True), (foreign, there, True, False),
         (foreign, None, True, True), (foreign, None, False, False),

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,10 @@ from models.catalog import load_scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 from validate.judge.score import Metric, Question, Verdict, metric_names
-from validate.judge.score.cause import ScoredPlan, cause_of, explain
-from validate.judge.score.table import FEEDBACK, TABLE
+from validate.judge.score.cause import ScoredPlan
+from validate.judge.score.evidence import Evidence
+from validate.judge.score.sentence import explain
+from validate.judge.score.table import EXPLAINING, FEEDBACK, TABLE
 from validate.judge.score.verdict import (
     EFFORT,
     SHARE,
@@ -24,7 +27,7 @@ from validate.judge.score.verdict import (
     wants_feedback,
 )
 
-QUESTION = {entry.name: entry.question for entry in TABLE} | {
+QUESTION = {entry.name: entry.question for entry in (*TABLE, *EXPLAINING)} | {
     EFFORT: Question.MOTION,
     SHARE: Question.MOTION,
 }
@@ -149,9 +152,6 @@ def test_feedback_is_tried_where_the_motion_is_missed_and_nothing_else_is_wrong(
     metrics: tuple[Metric, ...], wanted: bool
 ):
     assert wants_feedback(metrics) is wanted
-    assert wants_feedback((*metrics, metric_of_growth(1e12))) is wanted, (
-        "no threshold of instability changes the judge"
-    )
 
 
 def followed(**ok: bool | None) -> tuple[Metric, ...]:
@@ -212,10 +212,18 @@ def test_the_verdict_of_both(alone: Verdict, with_feedback: Verdict, verdict: Ve
 SCENE = load_scene("three_cart")
 
 
+def replay_with_growth(amplification: float) -> Any:
+    growth = SimpleNamespace(amplification=amplification)
+    return SimpleNamespace(growth=growth, ok=False, tracked=None)
+
+
 def scored(
     *metrics: Metric, scheme: Scheme | None = Scheme.SEMI_IMPLICIT_EULER, **more: Any
 ) -> ScoredPlan:
-    """A plan that stands still and violates by these; more: of other fields."""
+    """Return a plan that stands still and violates by these metrics; more: of other fields.
+
+    growth: amplification of the replay; grid_errors: of the evidence.
+    """
     steps = SCENE.task.steps
     states, forces = np.zeros((steps + 1, 3)), np.zeros((steps, 2))
     plan = Trajectory(
@@ -226,23 +234,22 @@ def scored(
         lam=forces,
         scheme=scheme,
     )
-    found = {item.name: item for item in metrics}
-    fields = {
-        "scene": SCENE,
-        "replay": None,
-        "verdict": Verdict.VIOLATES,
-        "questions": answers(metrics),
-    } | more
-    return ScoredPlan(trajectory=plan, metrics=found, **fields)
+    growth, replay = more.pop("growth", None), more.pop("replay", None)
+    case = Evidence(
+        more.pop("scene", SCENE), plan, replay if growth is None else replay_with_growth(growth)
+    )
+    if (errors := more.pop("grid_errors", None)) is not None:
+        case.__dict__["grid_errors"] = errors
+    fields = {"verdict": Verdict.VIOLATES, "questions": answers(metrics)} | more
+    return ScoredPlan(case=case, metrics={item.name: item for item in metrics}, **fields)
 
 
 def told(*metrics: Metric, **more: Any) -> str:
-    return explain(scored(*metrics, **more))
+    return explain(scored(*metrics, **more))[0]
 
 
 MISS = metric("replay_terminal_position_error", False, value=0.27)
 STRAY = metric("replay_error", False, value=0.2)
-GRID = metric("grid_error", None, value=0.079, limit=None)
 TRUE = metric("physics_scaled", True, value=0.0, limit=1e-5, unit="s")
 
 
@@ -270,38 +277,29 @@ def test_a_relaxed_law_is_named_before_what_follows_from_it():
     ],
 )  # fmt: skip
 def test_the_first_question_that_fails_speaks_first(first: Metric, says: str):
-    assert not unsaid(told(TRUE, STRAY, MISS, GRID, first), says)
+    assert not unsaid(told(TRUE, STRAY, MISS, first), says)
 
 
-def test_what_declares_no_scheme_hears_nothing_of_grids():
+def test_explain_plan_without_scheme_says_nothing_of_grids():
     why = told(STRAY, scheme=None)
     assert "grid" not in why
     assert "time step" not in why
-    unstable = told(STRAY, metric_of_growth(549.0), scheme=None)
-    assert not unsaid(
-        unstable,
-        "departs … by 0.2 m, limit 0.06 m; unstable … (amplification 550); if semi-implicit Euler made",
-    )
+    unstable = told(STRAY, growth=549.0, scheme=None)
+    assert not unsaid(unstable, "departs … by 0.2 m, limit 0.06 m; unstable … (amplification 550).")
 
 
-def metric_of_growth(value: float) -> Metric:
-    return Metric(name="amplification", question=Question.SHOWN, value=value, unit="1", meaning="")
-
-
-def test_the_cause_of_what_is_undecided_is_what_is_open():
-    assert (
-        cause_of(scored(metric("replay_error", None, 0.0599), verdict=Verdict.UNDECIDED))
-        == "replay_error"
-    )
-    assert (
-        cause_of(scored(metric("replay_error", None, 0.0599), UNWELL, verdict=Verdict.UNDECIDED))
-        == UNWELL.name
-    )
+def test_explain_undecided_cause_is_the_open_metric():
+    blurred = metric("replay_error", None, 0.0599)
+    for metrics, name in (((blurred,), blurred.name), ((blurred, UNWELL), UNWELL.name)):
+        cause = explain(scored(*metrics, verdict=Verdict.UNDECIDED))[1]
+        assert cause is not None
+        assert (cause.code, cause.fields) == (name, {})
 
 
 def test_the_other_hold_is_named_where_it_passes():
     assert not unsaid(
-        told(STRAY, scheme=None, other_hold=True), "held the other way … declare `# hold: linear`."
+        told(STRAY, scheme=None, holds_as="`# hold: linear`"),
+        "; it holds with another declaration: `# hold: linear`.",
     )
 
 
@@ -324,31 +322,30 @@ def test_what_is_undecided_says_why():
 
 def test_what_holds_shows_the_metric_closest_to_its_limit():
     near = metric("replay_terminal_position_error", True, value=0.03)
-    why = told(metric("defect", True, value=1e-9, limit=1e-6), near, GRID, verdict=Verdict.HOLDS)
+    why = told(metric("defect", True, value=1e-9, limit=1e-6), near, verdict=Verdict.HOLDS)
     parts = (
         "every question asked is answered yes",
         "closest to its limit",
         "0.03 m from the goal, limit 0.06 m",
-        "discretisation error is 0.079 m",
     )
     assert not unsaid(why, *parts)
 
 
 def test_what_holds_with_feedback_says_what_the_inputs_alone_do_and_what_it_took():
-    why = told(*followed(), metric_of_growth(1005.0), verdict=Verdict.HOLDS_WITH_FEEDBACK)
-    assert not unsaid(why, "not for the inputs alone: … ends 0.07 m … limit 0.06 m, unstable")
+    why = told(*followed(), growth=1005.0, verdict=Verdict.HOLDS_WITH_FEEDBACK)
+    assert not unsaid(why, "not for the inputs alone: … ends 0.07 m … limit 0.06 m; unstable")
     assert not unsaid(why, "RMS effort 7 % … and 7 % of what the plan's own inputs do")
     assert "it holds: with feedback" in why
     why = told(
         *followed(),
-        metric_of_growth(1005.0),
+        growth=1005.0,
         verdict=Verdict.HOLDS_WITH_FEEDBACK,
         scheme=None,
-        other_hold=True,
+        holds_as="`# hold: linear`",
     )
     assert not unsaid(
         why,
-        "limit 0.06 m (with its inputs held the other way it does not: declare `# hold: linear`); with LQR feedback",
+        "limit 0.06 m; it holds with another declaration: `# hold: linear`; with LQR feedback",
     )
 
 
