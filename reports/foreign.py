@@ -12,7 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from reports.records.record import HOLD, OWN_STEP, RunRecord, StageRecord
+from models.results.run import OWN_STEP, RunRecord, StageRecord
+from models.results.verdict import HOLD
 from reports.wording import count, listing, spaced
 
 NOT_ASKED = "not asked"

@@ -15,12 +15,12 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from reports.names import FEEDBACK, HOLD, TRACKED
+from models.results.verdict import FEEDBACK, HOLD, TRACKED
 from reports.wording import capital, measured, spaced
 
 if TYPE_CHECKING:  # `replay` has stages that are no records, and does without pydantic: 0.4 s
-    from reports.records.check_record import CheckRecord
-    from reports.records.record import MetricRecord, RunRecord, SceneRecord, StageRecord
+    from models.results.check import CheckRecord
+    from models.results.run import MetricRecord, RunRecord, SceneRecord, StageRecord
 
 SHOWN = "Shown, not judged"
 

@@ -31,7 +31,12 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from models.results.check import CheckRecord
+from models.results.engines import TruthRecord
+from models.results.robustness import RobustnessRecord
+from models.results.run import RunRecord
 from reports import wording
+from reports.load import ReportError, Stored, load, record_files
 from reports.pages import (
     campaign,
     checks,
@@ -47,11 +52,6 @@ from reports.pages import (
     violation,
 )
 from reports.pages.section import PAGES, REPORT, Report, Section, scene_page
-from reports.records.check_record import CheckRecord
-from reports.records.engines_record import TruthRecord
-from reports.records.load import ReportError, Stored, load, record_files
-from reports.records.record import RunRecord
-from reports.records.robustness_record import RobustnessRecord
 
 SINGLE = "single.html"
 _HERE = Path(__file__).parent

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from reports.records.check_record import CheckRecord, divided
-from reports.records.record import HOLD, RunRecord, StageRecord
+from models.results.check import CheckRecord, divided
+from models.results.run import RunRecord, StageRecord
+from models.results.verdict import HOLD
 
 # Causes of failure, each completing "A campaign fails if".
 RULE = (

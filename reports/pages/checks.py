@@ -5,14 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from models.results.check import AxisRecord, ChartRecord, CheckRecord
+from models.results.run import MetricRecord
 from reports.pages.section import Report, Section
 from reports.plots import Axis, Key, Plot
-from reports.records.check_record import (
-    AxisRecord,
-    ChartRecord,
-    CheckRecord,
-)
-from reports.records.record import MetricRecord
 from reports.wording import Sign, capital, count, listing, number, spaced
 
 FMU = "FMU"

@@ -8,20 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from models.results.run import MetricRecord, QuestionRecord, RunRecord, SceneRecord, StageRecord
+from models.results.verdict import FEEDBACK, HOLD, TRACKED
 from reports.judged import QuestionView, again, cause_of, deciding, end_of, questions_of
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
 from reports.pages.stage_plots import StagePlots, stage_plots
-from reports.records.record import (
-    FEEDBACK,
-    HOLD,
-    TRACKED,
-    MetricRecord,
-    QuestionRecord,
-    RunRecord,
-    SceneRecord,
-    StageRecord,
-)
 from reports.traces import Motion
 from reports.wording import capital, count, small, tail
 
@@ -133,7 +125,7 @@ def _stage(scene: SceneRecord, stage: StageRecord, motion: Motion, *, last: bool
         questions_of(stage) if last else [],
     )
     idle = stage.kind == "given" or (
-        stage.is_empty and stage.seconds.stage == 0 and stage.iterations == 0
+        stage.is_empty and stage.seconds.wall == 0 and stage.iterations == 0
     )
     return StageView(stage, plots, questions, _ends(scene, stage), idle)
 

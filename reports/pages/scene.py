@@ -7,10 +7,10 @@ from xml.etree import ElementTree
 
 from markupsafe import Markup, escape
 
+from models.results.run import RunRecord, SceneRecord
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
 from reports.pages.stage_plots import StagePlots, stage_plots
-from reports.records.record import RunRecord, SceneRecord
 from reports.traces import Motion
 from reports.wording import clean, cost, listing, number
 
@@ -115,7 +115,11 @@ def model(report: Report, scene: SceneRecord) -> Section:
     )
     # A size that differs between runs has its own row.
     sizes = list(
-        dict.fromkeys((stage.method, stage.size) for stage in stages if stage.size is not None)
+        dict.fromkeys(
+            (stage.method, stage.size, stage.paper_size)
+            for stage in stages
+            if stage.size is not None and stage.paper_size is not None
+        )
     )
     values = {
         "scene": scene,

@@ -1,10 +1,12 @@
 """Causes of runs that do not hold: those that are metrics, and runs grouped by them."""
 
+from dataclasses import replace
+
 import pytest
 from wording import unsaid
 
+from models.results.run import MetricRecord
 from reports.judged import by_cause, cause_of
-from reports.records.record import MetricRecord
 
 
 def ended(factory, verdict: str, *, name: str = "strict", outcome: str = "solved", **changes):
@@ -20,7 +22,7 @@ def ended(factory, verdict: str, *, name: str = "strict", outcome: str = "solved
         "why": "the reason.",
         **changes,
     }
-    return run.model_copy(update={"pipeline": name, "stages": (stage.model_copy(update=said),)})
+    return replace(run, pipeline=name, stages=(replace(stage, **said),))
 
 
 @pytest.mark.parametrize(

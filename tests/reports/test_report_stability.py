@@ -2,12 +2,14 @@
 
 import html
 import re
+from dataclasses import replace
 
 import pytest
 from wording import unsaid
 
-from reports.records.check_record import AxisRecord, ChartRecord, CheckRecord, SeriesRecord
-from reports.records.record import MetricRecord, TimeStepRecord
+from models.results.check import AxisRecord, ChartRecord, CheckRecord, SeriesRecord
+from models.results.run import MetricRecord, TimeStepRecord
+from models.results.stored import to_json
 from reports.render import write_single
 
 
@@ -56,11 +58,11 @@ def page(factory, tmp_path):
         factory.store(
             folder,
             [run],
-            record.model_copy(update={"keys": (run.key, *(item.key for item in cases))}),
+            replace(record, keys=(run.key, *(item.key for item in cases))),
         )
         for item in cases:
             (folder / "runs" / item.key).mkdir(parents=True)
-            (folder / "runs" / item.key / "record.json").write_text(item.model_dump_json())
+            (folder / "runs" / item.key / "record.json").write_text(to_json(item))
         made.raw = write_single(folder).read_text(encoding="utf-8")
         return html.unescape(made.raw)
 

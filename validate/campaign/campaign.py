@@ -20,15 +20,16 @@ from pathlib import Path
 from typing import Protocol
 
 from models.codegen.compiler import find_compiler
+from models.results.check import CheckRecord, divided
+from models.results.run import CampaignRecord, RunRecord, TimeStepRecord
+from models.results.stored import to_json
 from models.scene import Scene
 from models.scene.text import scene_text
 from models.stability import step_stability
 from reports.findings import three_findings
+from reports.load import CAMPAIGN
 from reports.pages.section import PAGES, REPORT
 from reports.paper import SCENE
-from reports.records.check_record import CheckRecord, divided
-from reports.records.load import CAMPAIGN
-from reports.records.record import CampaignRecord, RunRecord, TimeStepRecord
 from reports.rule import fails, failures, findings
 from validate.campaign.dask import open_dask
 from validate.campaign.engine import LOCAL, ExecutionContext, check_engine, open_local
@@ -198,7 +199,7 @@ class _Campaign:
         # campaign.json is written before the first task ends, so that a killed campaign can be
         # shown. If no task runs, the old file keeps the date and command of the results.
         if tasks or self._before is None or not same_campaign(self._campaign, self._before):
-            content = self._campaign.model_dump_json(indent=1)
+            content = to_json(self._campaign, 1)
             write_durably(self._settings.out / CAMPAIGN, content)
         self._announce()
         try:

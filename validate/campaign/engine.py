@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from models.errors import MachineError, TouchstoneError
-from reports.records.record import ProvenanceRecord
+from models.results.run import ProvenanceRecord
 from validate.processes.disk import PARTIAL
 from validate.processes.process import Preloaded, interrupts_wait, usable_cores
 from validate.store.store import Store
@@ -119,7 +119,7 @@ MODULES = (
     "models.codegen.kernel",
     "models.fmu",
     "models.trajectory_netcdf",
-    "reports.records.check_record",
+    "models.results.stored",
     "formulations.mpec",
     "formulations.ipopt",
     "formulations.transcription.homotopy",

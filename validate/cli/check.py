@@ -162,7 +162,7 @@ def _waivers(texts: tuple[str, ...]) -> dict[str, str]:
 
 def _page(checked: Sequence[Checked], arguments: tuple[str, ...]) -> str:
     """Return the page of these reports."""
-    from reports.records.check_record import CheckRecord
+    from models.results.check import CheckRecord
     from reports.render import render_checks
     from validate.store.provenance import gather
     from validate.tasks.fmu_checks import found_by

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any, cast
 
 import click
 
+from models.results.verdict import HOLD
 from reports.judged import Cause, MetricView, deciding, questions_of
-from reports.names import HOLD
 from validate.cli.table import print_table, say, short
 
 if TYPE_CHECKING:
-    from reports.records.record import MetricRecord, StageRecord
+    from models.results.run import MetricRecord, StageRecord
     from validate.judge.judgement import Judgement
 
 

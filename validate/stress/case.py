@@ -17,8 +17,8 @@ from typing import Any
 
 from models.catalog import scene_path
 from models.errors import TouchstoneError
-from reports.records.check_record import AxisRecord, ChartRecord, SeriesRecord
-from reports.records.record import MetricRecord
+from models.results.check import AxisRecord, ChartRecord, SeriesRecord
+from models.results.run import MetricRecord
 from validate.stress.catalog import StressCase, case_names, describe_case, heading, load_case
 from validate.tasks.check import Course, Found
 from validate.tasks.task import CheckTask, SceneReference

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
+from models.results.check import CheckRow, FmuRecord
 from models.scene.text import scene_text
-from reports.records.check_record import CheckRow, FmuRecord
 from validate.tasks.check import Course, Found
 from validate.tasks.task import CheckTask, SceneReference
 

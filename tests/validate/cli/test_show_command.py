@@ -2,12 +2,13 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from models.results.run import MetricRecord, TrackedRecord
 from reports.judged import cause_of_stage
-from reports.records.record import MetricRecord, TrackedRecord
 from tests.reports import record_factory as factory
 from validate.campaign.stored import stored_names, title_of
 from validate.cli.verdict import print_score, print_verdict
@@ -40,24 +41,18 @@ def test_a_run_that_holds_with_feedback_shows_both_ends(cli, tmp_path: Path):
             error=1e-9,
         ),
     )
-    replay = stage.replay.model_copy(
-        update={"judged": "feedback", "tracked": TrackedRecord(error_estimate=1e-9)}
-    )
+    replay = replace(stage.replay, judged="feedback", tracked=TrackedRecord(error_estimate=1e-9))
     changes = {
         "verdict": "holds with feedback",
         "why": "with LQR feedback it holds.",
         "metrics": metrics,
         "replay": replay,
     }
-    stage = stage.model_copy(
-        update={**changes, "not_asked": ("ghost_impulse: the plan says no forces.",)}
+    stage = replace(stage, **{**changes, "not_asked": ("ghost_impulse: the plan says no forces.",)})
+    scene = replace(
+        run.scene, waived=("cost: no way is known to be cheap",), unstable="It falls over."
     )
-    scene = run.scene.model_copy(
-        update={"waived": ("cost: no way is known to be cheap",), "unstable": "It falls over."}
-    )
-    folder = factory.store(
-        tmp_path / "all", [run.model_copy(update={"stages": (stage,), "scene": scene})]
-    )
+    folder = factory.store(tmp_path / "all", [replace(run, stages=(stage,), scene=scene)])
     done = cli("show", "three_cart x strict", "--in", str(folder), "--wide")
     lines = [" ".join(line.split()) for line in done.stdout.splitlines()]
     assert lines[:2] == [
@@ -138,7 +133,7 @@ def test_the_default_limit_of_what_could_not_be_measured_is_not_known(
     )
     (stage,) = factory.run("strict", None, "strict_lcp").stages
     changes = {"metrics": (metric,), "not_asked": ()}
-    print_score(stage.model_copy(update=changes))
+    print_score(replace(stage, **changes))
     heads, _, row = capsys.readouterr().out.splitlines()[-3:]
     place = re.search(r"\blimit\b", heads)
     assert place is not None
@@ -160,7 +155,7 @@ def test_verdict_metric_and_cause_come_before_a_table_that_fits(monkeypatch, cap
     )
     (stage,) = factory.run("strict", None, "strict_lcp").stages
     changes = {"metrics": (beyond,), "verdict": "violates", "why": "it ends 0.31 m off."}
-    stage = stage.model_copy(update=changes | {"cause": "coarse grid", "questions": ()})
+    stage = replace(stage, **(changes | {"cause": "coarse grid", "questions": ()}))
     print_verdict(stage.verdict, stage.why, stage, cause_of_stage(stage))
     print_score(stage)
     lines = capsys.readouterr().out.splitlines()

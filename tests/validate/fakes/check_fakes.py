@@ -11,8 +11,8 @@ from dataclasses import replace
 import campaign_fakes
 
 from models.errors import TouchstoneError
+from models.results.run import MetricRecord
 from models.scene.text import scene_text
-from reports.records.record import MetricRecord
 from validate.tasks.check import Course, Found
 from validate.tasks.task import CheckTask, SceneReference
 

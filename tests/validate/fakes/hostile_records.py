@@ -86,7 +86,7 @@ def read_record(path: Path) -> None:
     import contextlib
     import os
 
-    from reports.records.load import load
+    from reports.load import load
     from validate.campaign.results import tables
     from validate.campaign.stored import campaign_of
     from validate.cli.show import command

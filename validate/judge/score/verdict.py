@@ -16,6 +16,7 @@ from enum import Enum
 from typing import Literal, TypeAlias
 
 from models.errors import UnknownNameError, did_you_mean
+from models.results.verdict import TRACKED, Verdict
 
 
 class Unmeasured(Exception):  # noqa: N818 - a value with a reason, no error
@@ -28,32 +29,6 @@ class LeavesBounds(Unmeasured):
 
 class Contradicted(Unmeasured):
     """An external FMU contradicts its map, which leaves the question open."""
-
-
-class Verdict(Enum):
-    """Verdict on a plan, as the word of tables, files and sentences.
-
-    - `holds`: all questions are answered yes for the inputs alone.
-    - `holds with feedback`: only with limited feedback.
-    - `violates`: one certainly fails.
-    - `undecided`: none fails, one is undecided.
-    - `no plan`: nothing to judge.
-    - `not applicable`: the method does not apply, or neither claims nor goals exist.
-    - `consistent`: nothing is wrong, and there is no goal.
-    """
-
-    HOLDS = "holds"
-    HOLDS_WITH_FEEDBACK = "holds with feedback"
-    VIOLATES = "violates"
-    UNDECIDED = "undecided"
-    NO_PLAN = "no plan"
-    NOT_APPLICABLE = "not applicable"
-    CONSISTENT = "consistent"
-
-    @property
-    def is_good(self) -> bool:
-        """Return whether the plan holds, with or without feedback."""
-        return self in (Verdict.HOLDS, Verdict.HOLDS_WITH_FEEDBACK)
 
 
 class Question(Enum):
@@ -168,7 +143,6 @@ class Score:
 MARGIN = 10.0
 EFFORT = "feedback_effort"
 SHARE = "feedback_share"
-TRACKED = "tracked_"
 # Questions about the replay, which need a judge that is well.
 _OF_REPLAY = (Question.MOTION, Question.POSSIBLE)
 # Questions about the plan, which feedback cannot change.

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,9 @@ from wording import unsaid
 
 from models.catalog import load_scene
 from models.errors import TouchstoneError
+from models.results.robustness import FirstFailure, RobustnessRecord
+from models.results.stored import from_json
 from models.trajectory import write_csv
-from reports.records.robustness_record import FailureRecord, RobustnessRecord
 from tests.validate.judge.robustness.test_worlds import resting
 from validate.cli.robust import command
 from validate.judge.judgement import Judgement
@@ -71,10 +73,7 @@ def test_what_is_measured_is_the_same_again_and_another_for_another_seed(judged:
         robustness(SCENE, judged.plan, samples=10, seed=seed, kinds=["gain", "noise"])
         for seed in (0, 0, 1)
     )
-    records = [
-        RobustnessRecord.model_validate(item).model_copy(update={"seconds": 0.0})
-        for item in (first, again, other)
-    ]
+    records = [replace(item, seconds=0.0) for item in (first, again, other)]
     assert records[0] == records[1]
     assert first.alone.tried == again.alone.tried
     assert (np.array(first.alone.tried) != np.array(other.alone.tried)).all()
@@ -131,14 +130,12 @@ def test_what_was_tried_before_ctrl_c_is_kept(judged: Judgement):
     assert not found.complete
     assert found.alone.share.samples == 10
     assert [(item.cause.name, item.direction) for item in found.failures] == [("m", -1), ("m", 1)]
-    assert "interrupted" in RobustnessRecord.model_validate(found).summary
+    assert "interrupted" in found.summary
 
     def at_once(text: str) -> None:
         raise KeyboardInterrupt
 
-    nothing = RobustnessRecord.model_validate(
-        robustness(SCENE, judged.plan, samples=10, tell=at_once)
-    )
+    nothing = robustness(SCENE, judged.plan, samples=10, tell=at_once)
     assert "no world was tried" in nothing.summary
 
 
@@ -168,7 +165,7 @@ def test_a_plan_that_does_not_hold_is_measured_anyway():
 
 def test_a_first_failure_is_told_in_its_unit_and_in_sizes():
     cause = perturbations(SCENE, resting())[1]
-    said = FailureRecord(cause=cause, direction=-1, sizes=2.0, amount=-0.2, tried=64.0, by="")  # type: ignore[arg-type]
+    said = FirstFailure(cause=cause, direction=-1, sizes=2.0, amount=-0.2, tried=64.0, by="")  # type: ignore[arg-type]
     assert said.words == "c by -0.2 N s/m (2.00 of its size)"
 
 
@@ -189,7 +186,7 @@ def test_the_command_tells_it_in_text_json_csv_and_a_page(judged: Judgement, tmp
         command, [*given, "--json", "--html", str(page), "--csv", str(rows)], standalone_mode=False
     )
     assert told.return_value == 0, told.output
-    record = RobustnessRecord.model_validate_json(told.stdout)
+    record = from_json(RobustnessRecord, told.stdout)
     assert [item.name for item in record.causes] == ["m", "c", "k", "d"]
     assert json.loads(told.stdout)["ways"][0]["share"]["samples"] == 12
     table = list(csv.DictReader(io.StringIO(rows.read_text())))

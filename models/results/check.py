@@ -1,27 +1,20 @@
 """CheckRecord: an expected result and a finding; ChartRecord: data of one plot of a check.
 
-record = record_of(path.read_bytes())  # a RunRecord or a CheckRecord
-runs, checks = divided(records)
+runs, checks = divided(records)  # RunRecords and CheckRecords
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Annotated, Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
-from pydantic import Discriminator, RootModel, Tag
-
-from reports.records.record import (
-    SCHEMA_VERSION,
-    Finite,
-    MetricRecord,
-    Model,
-    ProvenanceRecord,
-    RunRecord,
-)
+from models.results.fields import Result
+from models.results.run import SCHEMA_VERSION, MetricRecord, ProvenanceRecord, RunRecord
 
 
-class AxisRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class AxisRecord(Result):
     """An axis of a chart."""
 
     quantity: str
@@ -29,28 +22,31 @@ class AxisRecord(Model):
     log: bool = False
 
 
-class SeriesRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class SeriesRecord(Result):
     """x, y of equal length; line: joined points."""
 
     name: str
-    x: tuple[Finite, ...]
-    y: tuple[Finite, ...]
+    x: tuple[float, ...]
+    y: tuple[float, ...]
     line: bool = True
 
 
-class ChartRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class ChartRecord(Result):
     """One plot; level: a horizontal line; words: its content as a sentence."""
 
     title: str
     x: AxisRecord
     y: AxisRecord
     series: tuple[SeriesRecord, ...]
-    level: Finite | None = None
+    level: float | None = None
     level_words: str = ""
     words: str = ""
 
 
-class CheckRow(Model):
+@dataclass(frozen=True, kw_only=True)
+class CheckRow(Result):
     """One check of an FMU: its claim and the finding.
 
     - type: "ME", "CS", or "" for the file.
@@ -63,20 +59,21 @@ class CheckRow(Model):
     claim: str
     status: Literal["passed", "failed", "not offered", "advice", "waived"]
     sentence: str
-    seconds: Finite
+    seconds: float
     clause: str = ""
     severity: Literal["", "error", "behaviour", "advice"] = ""
 
 
-class FmuRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class FmuRecord(Result):
     """An exported and checked FMU; version: of FMI; types: ME, CS; export may be cached."""
 
     version: str
     types: tuple[str, ...]
     bytes: int
     sha256: str
-    export_seconds: Finite
-    check_seconds: Finite
+    export_seconds: float
+    check_seconds: float
     rows: tuple[CheckRow, ...]
 
     def count(self, status: str) -> int:
@@ -89,7 +86,8 @@ class FmuRecord(Model):
         return tuple(row for row in self.rows if row.status == "failed")
 
 
-class CheckRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class CheckRecord(Result):
     """One check; kind and name are unique in a campaign, and a kind has its page.
 
     - outcome: `answered`, or how it ended: `failed` with a reason, `crashed`, `time_limit`.
@@ -99,7 +97,7 @@ class CheckRecord(Model):
     - charts: data of plots.
     """
 
-    schema_version: Literal[9] = SCHEMA_VERSION
+    schema_version: Literal[10] = SCHEMA_VERSION
     key: str
     kind: str
     name: str
@@ -112,8 +110,8 @@ class CheckRecord(Model):
     figures: tuple[MetricRecord, ...] = ()
     fmu: FmuRecord | None = None
     charts: tuple[ChartRecord, ...] = ()
-    wall_seconds: Finite
-    cpu_seconds: Finite
+    wall_seconds: float
+    cpu_seconds: float
     provenance: ProvenanceRecord
     log_tail: str = ""
 
@@ -121,28 +119,6 @@ class CheckRecord(Model):
     def title(self) -> str:
         """Return kind and name, as in campaigns and `show`."""
         return f"{self.kind}: {self.name}"
-
-
-def _which(data: Any) -> str:
-    return (
-        "run"
-        if isinstance(data, RunRecord) or (isinstance(data, dict) and "pipeline" in data)
-        else "check"
-    )
-
-
-class StoredRecord(RootModel):
-    """Any record.json of a campaign."""
-
-    root: Annotated[
-        Annotated[RunRecord, Tag("run")] | Annotated[CheckRecord, Tag("check")],
-        Discriminator(_which),
-    ]
-
-
-def record_of(text: bytes) -> RunRecord | CheckRecord:
-    """Return the record of a record.json. Raises pydantic's ValidationError."""
-    return StoredRecord.model_validate_json(text).root
 
 
 def divided(
