@@ -73,7 +73,7 @@ def _is_finding(run: RunRecord) -> bool:
 
 def _is_of_the_time_step(stage: StageRecord) -> bool:
     """Return whether only the grid fails: 1 to 3 and 6 pass, 4 or 5 fails, refinement helps."""
-    answers = {question.number: question.answer for question in stage.questions}
+    answers = {question.number: answer for question, answer in stage.questions}
     if not stage.questions or any(
         answers.get(number) not in ("yes", "not asked") for number in (1, 2, 3, 6)
     ):

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from models.results.fields import Result
-from models.results.run import SCHEMA_VERSION, MetricRecord, ProvenanceRecord, RunRecord
+from models.results.run import SCHEMA_VERSION, ProvenanceRecord, RunRecord
+from models.results.verdict import Metric
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +108,7 @@ class CheckRecord(Result):
     passed: bool
     found: str = ""
     message: str = ""
-    figures: tuple[MetricRecord, ...] = ()
+    figures: tuple[Metric, ...] = ()
     fmu: FmuRecord | None = None
     charts: tuple[ChartRecord, ...] = ()
     wall_seconds: float

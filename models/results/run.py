@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from models.results.fields import Encoded, Floats, Result
 from models.results.robustness import Survey
-from models.results.verdict import TRACKED, Verdict
+from models.results.verdict import TRACKED, Answer, Metric, Question, Verdict
 
 if TYPE_CHECKING:  # a fifth of the time of `show`, which does not need them
     import numpy as np
@@ -145,31 +145,6 @@ class SceneRecord(Result):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MetricRecord(Result):
-    """One metric of the score, or one figure of a check.
-
-    - value: None if not measured, with `reason`.
-    - question: 1 to 6, None for the judge's and shown ones.
-    - error: by the replay's error, None: unknown.
-    - ok: None without a limit, or undecided.
-    - default: the limit is the metric's own.
-    - at_least: a lower limit.
-    """
-
-    name: str
-    value: float | None
-    unit: str
-    meaning: str
-    question: int | None = None
-    error: float | None = 0.0
-    limit: float | None = None
-    reason: str = ""
-    ok: bool | None = None
-    default: bool = False
-    at_least: bool = False
-
-
-@dataclass(frozen=True, kw_only=True)
 class TrackedRecord(Result):
     """Facts about the replay with feedback.
 
@@ -279,15 +254,6 @@ class ModelSize(Result):
 
 
 @dataclass(frozen=True, kw_only=True)
-class QuestionRecord(Result):
-    """One question of the judge, and its answer."""
-
-    number: int | None  # None: whether the judge is well
-    text: str
-    answer: Literal["yes", "no", "undecided", "not asked"]
-
-
-@dataclass(frozen=True, kw_only=True)
 class StageRecord(Result):
     """One stage of a pipeline: one method at one eps."""
 
@@ -310,12 +276,12 @@ class StageRecord(Result):
     certificate: CertificateRecord | None = None
     certificate_missing: bool = False  # the run ended before
     seconds: Seconds = field(default_factory=Seconds)
-    metrics: tuple[MetricRecord, ...] = ()
+    metrics: tuple[Metric, ...] = ()
     verdict: Verdict = Verdict.NO_PLAN
     why: str = ""
     # The same in one word: the failing or undecided metric, or the cause.
     cause: str = ""
-    questions: tuple[QuestionRecord, ...] = ()
+    questions: tuple[tuple[Question, Answer], ...] = ()
     not_asked: tuple[str, ...] = ()
     replay: ReplayRecord | None = None
     survey: Survey | None = None  # None if not selected
@@ -326,11 +292,11 @@ class StageRecord(Result):
     # The pipeline whose run solved this stage, if another.
     shared_from: str = ""
 
-    def metric(self, name: str) -> MetricRecord | None:
+    def metric(self, name: str) -> Metric | None:
         """Return the metric of this name, None if not measured."""
         return next((metric for metric in self.metrics if metric.name == name), None)
 
-    def judged(self, name: str) -> MetricRecord | None:
+    def judged(self, name: str) -> Metric | None:
         """Return a metric, of the judged replay if there are two."""
         return (self.metric(f"{TRACKED}{name}") if self.is_tracked else None) or self.metric(name)
 

@@ -1,8 +1,13 @@
-"""Verdict on a plan, and the names of its metrics."""
+"""Verdict on a plan: its questions, their answers, and the metrics that decide them."""
 
 from __future__ import annotations
 
-from enum import StrEnum
+import math
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+from typing import Literal, TypeAlias
+
+from models.results.fields import OrInfinite, Result
 
 
 class Verdict(StrEnum):
@@ -37,3 +42,60 @@ HOLD = (Verdict.HOLDS, Verdict.HOLDS_WITH_FEEDBACK)
 TRACKED = "tracked_"
 # Prefix of metrics of the feedback's effort.
 FEEDBACK = "feedback_"
+
+
+class Question(Enum):
+    """Question about a plan, in this order; `JUDGE` is about the replay, `SHOWN` is none."""
+
+    TASK = "Is it a plan of this task?"
+    GOAL = "Does it say that it reaches the goal?"
+    FORCES = "Is what it claims of its velocities and forces physical?"
+    MOTION = "Do its inputs give its motion, and the goal?"
+    POSSIBLE = "Is the replayed motion possible?"
+    SCHEME = "Does it solve its own discrete equations?"
+    JUDGE = "Is the judge well?"
+    SHOWN = ""
+
+    @property
+    def number(self) -> int | None:
+        """Return 1 to 6, None for the last two."""
+        place = list(Question).index(self) + 1
+        return place if place <= 6 else None
+
+
+Answer: TypeAlias = Literal["yes", "no", "undecided", "not asked"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metric(Result):
+    """One metric of a plan, or one figure of a check.
+
+    - value: None if not measured, with `reason`.
+    - error: by the replay's error, infinite if unknown.
+    - limit: of the scene or the metric, with `reason`, None if not judged.
+    - ok: None if undecided or without a limit.
+    - default: the limit is the metric's own.
+    - at_least: a lower limit.
+    """
+
+    name: str
+    question: Question = Question.SHOWN
+    value: float | None
+    unit: str
+    meaning: str
+    error: OrInfinite = 0.0
+    limit: float | None = None
+    reason: str = ""
+    ok: bool | None = None
+    default: bool = True
+    at_least: bool = False
+
+    @property
+    def is_judged(self) -> bool:
+        """Return whether the metric has a limit."""
+        return self.limit is not None
+
+    @property
+    def has_known_error(self) -> bool:
+        """Return whether the error is known."""
+        return math.isfinite(self.error)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from models.results.check import AxisRecord, ChartRecord, CheckRecord
-from models.results.run import MetricRecord
+from models.results.verdict import Metric
 from reports.pages.section import Report, Section
 from reports.plots import Axis, Key, Plot
 from reports.wording import Sign, capital, count, listing, number, spaced
@@ -118,7 +118,7 @@ class CaseRow(NamedTuple):
     record: CheckRecord
     sign: Sign
     happened: str
-    decisive: tuple[MetricRecord, ...]
+    decisive: tuple[Metric, ...]
     plots: tuple[Plot, ...]
 
 

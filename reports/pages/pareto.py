@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from models.results.run import MetricRecord, SceneRecord
-from models.results.verdict import TRACKED
+from models.results.run import SceneRecord
+from models.results.verdict import TRACKED, Metric
 from reports.pages.section import Report, Section
 from reports.plots import Axis, Key, Plot, is_wide
 from reports.rows import Row, known_cost
@@ -98,7 +98,7 @@ def cpu(row: Row) -> float:
     return sum(stage.seconds.cpu for stage in row.chain)
 
 
-def replay_error(row: Row) -> MetricRecord | None:
+def replay_error(row: Row) -> Metric | None:
     """Return the metric of the judged replay."""
     return row.stage.judged("replay_error")
 
@@ -108,7 +108,7 @@ def arrives(row: Row) -> bool:
     return all(metric.ok is True for metric in _terminal(row))
 
 
-def _terminal(row: Row) -> list[MetricRecord]:
+def _terminal(row: Row) -> list[Metric]:
     """Return the limited terminal errors of the judged replay, else of the plan's own grid."""
     limited = [
         metric

@@ -5,7 +5,8 @@
 
 from dataclasses import replace
 
-from models.results.run import EquationRecord, MetricRecord, RunRecord, ShapeRecord
+from models.results.run import EquationRecord, RunRecord, ShapeRecord
+from models.results.verdict import Metric
 
 
 def crashed(factory) -> RunRecord:
@@ -49,7 +50,7 @@ def refused(factory) -> RunRecord:
 def hostile(factory) -> RunRecord:
     """Every string that a scene, a method or a log can bring, made of markup."""
     bad = factory.stage(0, "strict_lcp", None, None, 0.0)
-    bad = replace(bad, method=factory.HOSTILE, method_title=factory.HOSTILE, outcome=factory.HOSTILE, advice=factory.HOSTILE, message=factory.HOSTILE, why=factory.HOSTILE, options={factory.HOSTILE: factory.HOSTILE}, residuals={factory.HOSTILE: 1.0}, history={factory.HOSTILE: (3.0, 2.0, 1.0)}, metrics=(MetricRecord(name=factory.HOSTILE, value=None, unit=factory.HOSTILE,
+    bad = replace(bad, method=factory.HOSTILE, method_title=factory.HOSTILE, outcome=factory.HOSTILE, advice=factory.HOSTILE, message=factory.HOSTILE, why=factory.HOSTILE, options={factory.HOSTILE: factory.HOSTILE}, residuals={factory.HOSTILE: 1.0}, history={factory.HOSTILE: (3.0, 2.0, 1.0)}, metrics=(Metric(name=factory.HOSTILE, value=None, unit=factory.HOSTILE,
                                      meaning=factory.HOSTILE, reason=factory.HOSTILE),), paper={})  # fmt: skip
     where = replace(
         factory.scene(factory.HOSTILE, factory.HOSTILE),

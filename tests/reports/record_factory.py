@@ -19,10 +19,8 @@ from models.results.run import (
     CampaignRecord,
     ContactRecord,
     EquationRecord,
-    MetricRecord,
     ProvenanceRecord,
     QuantityRecord,
-    QuestionRecord,
     ReplayRecord,
     RunRecord,
     SceneRecord,
@@ -33,6 +31,7 @@ from models.results.run import (
     stage_files,
 )
 from models.results.stored import from_data, to_json
+from models.results.verdict import Answer, Metric, Question
 from reports.paper import TABLE_1
 from reports.traces import Motion, Trace, read_motion
 
@@ -202,21 +201,10 @@ def trace(t: Sequence[float], **columns: Sequence[float]) -> Trace:
     )
 
 
-QUESTIONS = (
-    (1, "Is it a plan of this task?"), (2, "Does it say that it reaches the goal?"),
-    (3, "Is what it claims of its velocities and forces physical?"),
-    (4, "Do its inputs give its motion, and the goal?"), (5, "Is the replayed motion possible?"),
-    (6, "Does it solve its own discrete equations?"),
-    (None, "Is the judge well?"),
-)  # fmt: skip
-
-
-def questions(**answers: str) -> tuple[QuestionRecord, ...]:
+def questions(**answers: Answer) -> tuple[tuple[Question, Answer], ...]:
     """Answered yes unless given by number: q3="no"."""
-    return tuple(
-        QuestionRecord(number=number, text=text, answer=answers.get(f"q{number}", "yes"))
-        for number, text in QUESTIONS
-    )
+    asked = [question for question in Question if question.value]
+    return tuple((question, answers.get(f"q{question.number}", "yes")) for question in asked)
 
 
 def _metric(
@@ -224,11 +212,11 @@ def _metric(
     value: float | None,
     unit: str,
     limit: float | None = None,
-    question: int | None = None,
+    number: int | None = None,
     error: float = 0.0,
-) -> MetricRecord:
-    return MetricRecord(
-        question=question, error=error, name=name, value=value, unit=unit,
+) -> Metric:
+    return Metric(
+        question=Question.SHOWN if number is None else list(Question)[number - 1], error=error, name=name, value=value, unit=unit,
         meaning=f"what {name} means, in words", limit=limit,
         reason="the reason of the limit" if limit is not None else "",
         ok=None if limit is None or value is None else value <= limit,
@@ -383,16 +371,16 @@ def run(pipeline: str, before: str | None, last: str, **changes: object) -> RunR
     return from_data(RunRecord, values | changes)
 
 
-def judged(name: str, value: float | None, unit: str = "m", **changes: object) -> MetricRecord:
+def judged(name: str, value: float | None, unit: str = "m", **changes: object) -> Metric:
     """One metric, without a limit unless given."""
     return from_data(
-        MetricRecord, {"name": name, "value": value, "unit": unit, "meaning": name} | changes
+        Metric, {"name": name, "value": value, "unit": unit, "meaning": name} | changes
     )
 
 
 def ran(
     name: str,
-    *metrics: MetricRecord,
+    *metrics: Metric,
     cpu: float = 1.0,
     of: SceneRecord | None = None,
     **changes: object,

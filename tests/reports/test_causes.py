@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from wording import unsaid
 
-from models.results.run import MetricRecord
+from models.results.verdict import Metric, Question
 from reports.judged import by_cause, cause_of
 
 
@@ -107,12 +107,12 @@ def test_advice_for_best_exact_does_not_name_it(factory, cause):
 
 
 def test_cause_of_inputs_that_claim_no_motion_is_the_goal(factory):
-    beyond = MetricRecord(
+    beyond = Metric(
         name="replay_terminal_velocity_error",
         value=0.3,
         unit="m/s",
         meaning="m",
-        question=4,
+        question=Question.MOTION,
         limit=0.1,
         ok=False,
     )

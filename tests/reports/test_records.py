@@ -5,6 +5,7 @@ A folder of them with what is broken in it; runs in parts told as one.
 
 import base64
 import json
+import math
 import os
 import struct
 import zlib
@@ -27,7 +28,6 @@ from models.results.run import (
     SCHEMA_VERSION,
     EquationRecord,
     LegRecord,
-    MetricRecord,
     RunRecord,
     SceneRecord,
     StageRecord,
@@ -35,6 +35,7 @@ from models.results.run import (
     thin,
 )
 from models.results.stored import from_data, from_json, record_of, to_data, to_json
+from models.results.verdict import Metric, Question
 from reports.load import LARGEST_BYTES, ReportError, Stored, load, other_version, record_files
 from tests.reports import record_factory as factory
 
@@ -102,9 +103,31 @@ def test_files_of_the_last_stage_have_no_number():
 
 
 def test_a_metric_is_found_by_its_name():
-    first, second = (MetricRecord(name=name, value=1.0, unit="", meaning="") for name in ("a", "b"))
+    first, second = (Metric(name=name, value=1.0, unit="", meaning="") for name in ("a", "b"))
     found = stage(metrics=(first, second))
     assert (found.metric("b"), found.metric("c")) == (second, None)
+
+
+@pytest.mark.parametrize(("error", "known"), [(0.0, True), (1e-9, True), (math.inf, False)])
+def test_metric_error_unknown_stays_infinite_in_json(error: float, known: bool):
+    metric = Metric(name="a", value=1.0, unit="", meaning="", error=error, question=Question.MOTION)
+    text = to_json(metric)
+    assert (json.loads(text)["error"] is not None) is known is metric.has_known_error
+    assert from_json(Metric, text) == metric
+
+
+@pytest.mark.parametrize("value", [None, math.inf, -math.inf, math.nan])
+def test_metric_value_not_finite_read_as_none(value: float | None):
+    metric = Metric(name="a", value=value, unit="", meaning="", limit=value, error=math.nan)
+    found = from_json(Metric, to_json(metric))
+    assert (found.value, found.limit, found.error) == (None, None, math.inf)
+
+
+@pytest.mark.parametrize("text", ["NaN", "Infinity", "1e999", '"soon"'])
+def test_metric_number_not_finite_in_json_refused(text: str):
+    damaged = to_json(Metric(name="a", value=2.5, unit="", meaning="")).replace("2.5", text)
+    with pytest.raises(ValidationError):
+        from_json(Metric, damaged)
 
 
 @pytest.mark.parametrize("places", [(), (1,), (0, 2), (1, 0), (0, 0)])

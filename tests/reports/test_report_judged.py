@@ -4,7 +4,8 @@ import html
 import re
 from dataclasses import replace
 
-from models.results.run import MetricRecord, TrackedRecord
+from models.results.run import TrackedRecord
+from models.results.verdict import Metric, Question
 from reports.judged import end_of, questions_of
 from reports.pages.table1 import conclude
 from reports.render import write_single
@@ -25,18 +26,18 @@ def followed(factory):
     """A stage that holds with feedback, not for its inputs alone."""
     (stage,) = factory.run("strict", None, "strict_lcp").stages
 
-    def metric(name: str, value: float, **changes) -> MetricRecord:
-        return MetricRecord(name=name, value=value, unit="m", meaning="m", **changes)
+    def metric(name: str, value: float, **changes) -> Metric:
+        return Metric(name=name, value=value, unit="m", meaning="m", **changes)
 
     both = (
-        metric("cost", 7.0, question=2, reason="no way is known to be cheap"),
-        metric("replay_error", 0.6, question=4, limit=0.01, ok=False),
-        metric("replay_terminal_position_error", 0.5, question=4, limit=0.06, ok=False),
+        metric("cost", 7.0, question=Question.GOAL, reason="no way is known to be cheap"),
+        metric("replay_error", 0.6, question=Question.MOTION, limit=0.01, ok=False),
+        metric("replay_terminal_position_error", 0.5, question=Question.MOTION, limit=0.06, ok=False),
         replace(metric("contact_law_error", 1.0,
-               question=3), value=None, reason="the plan declares a scheme"),
-        metric("tracked_replay_error", 0.004, question=4, limit=0.01, ok=True),
-        metric("tracked_replay_terminal_position_error", 0.002, question=4, limit=0.06, ok=True),
-        metric("feedback_effort", 0.1, question=4, limit=0.25, ok=True),
+               question=Question.FORCES), value=None, reason="the plan declares a scheme"),
+        metric("tracked_replay_error", 0.004, question=Question.MOTION, limit=0.01, ok=True),
+        metric("tracked_replay_terminal_position_error", 0.002, question=Question.MOTION, limit=0.06, ok=True),
+        metric("feedback_effort", 0.1, question=Question.MOTION, limit=0.25, ok=True),
         metric("energy_residual_relative", 1e-9, limit=1e-6, ok=True),
         metric("physics", 0.0),
     )  # fmt: skip

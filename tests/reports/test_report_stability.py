@@ -8,18 +8,19 @@ import pytest
 from wording import unsaid
 
 from models.results.check import AxisRecord, ChartRecord, CheckRecord, SeriesRecord
-from models.results.run import MetricRecord, TimeStepRecord
+from models.results.run import TimeStepRecord
 from models.results.stored import to_json
+from models.results.verdict import Metric
 from reports.render import write_single
 
 
-def figure(name: str, value: float | None, limit: float | None, **changes) -> MetricRecord:
+def figure(name: str, value: float | None, limit: float | None, **changes) -> Metric:
     ok = (
         None
         if limit is None
         else value is not None and (value >= limit if changes.get("at_least") else value <= limit)
     )
-    return MetricRecord(
+    return Metric(
         name=name, value=value, unit="m", meaning="", limit=limit, reason="why so", ok=ok, **changes
     )
 

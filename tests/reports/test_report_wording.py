@@ -119,7 +119,7 @@ def test_why_there_is_no_plan_is_told_once_a_stage(factory, tmp_path):
         verdict="no plan",
         **nothing,
     )
-    idle = replace(late, iterations=0, seconds=replace(late.seconds, stage=0.0))
+    idle = replace(late, iterations=0, seconds=replace(late.seconds, wall=0.0))
     run = factory.run(
         "late",
         None,

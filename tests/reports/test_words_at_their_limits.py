@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from models.results.run import QuantityRecord, RunRecord
+from models.results.verdict import Question
 from reports import findings, judged, rows, rule, wording
 from reports.judged import _CAUSES, again, cause_of, deciding
 from tests.reports import record_factory as factory
@@ -108,16 +109,16 @@ def test_each_cause_has_its_words(cause: str):
 
 def test_which_metric_decides():
     early, late = (
-        metric("a", 2.0, limit=1.0, ok=False, question=2),
-        metric("b", 3.0, limit=1.0, ok=False, question=5),
+        metric("a", 2.0, limit=1.0, ok=False, question=Question.GOAL),
+        metric("b", 3.0, limit=1.0, ok=False, question=Question.POSSIBLE),
     )
     of_judge, tracked = (
         metric("c", 9.0, limit=1.0, ok=False),
-        metric("tracked_a", 9.0, limit=1.0, ok=False, question=1),
+        metric("tracked_a", 9.0, limit=1.0, ok=False, question=Question.TASK),
     )
     within, shown = (
-        metric("d", 0.5, limit=1.0, ok=True, question=1),
-        metric("e", 9.0, question=1, ok=False),
+        metric("d", 0.5, limit=1.0, ok=True, question=Question.TASK),
+        metric("e", 9.0, question=Question.TASK, ok=False),
     )
 
     def decided(verdict: str, *metrics, followed: bool = False) -> str | None:
@@ -132,26 +133,30 @@ def test_which_metric_decides():
     assert decided("violates", of_judge, tracked, within) == "tracked_a"
     assert decided("violates", of_judge, within) == "c"
     open_, judge_open = (
-        metric("f", 1.0, limit=1.0, ok=None, question=4),
+        metric("f", 1.0, limit=1.0, ok=None, question=Question.MOTION),
         metric("g", 1.0, limit=1.0, ok=None),
     )
     assert decided("undecided", within, open_, judge_open) == "g", "first whether the judge is well"
     assert decided("undecided", within, open_) == "f"
     assert (
-        decided("undecided", within, metric("tracked_f", 1.0, limit=1.0, ok=None, question=4))
+        decided(
+            "undecided",
+            within,
+            metric("tracked_f", 1.0, limit=1.0, ok=None, question=Question.MOTION),
+        )
         is None
     )
     near, nearer = (
-        metric("h", -0.9, limit=1.0, ok=True, question=4),
-        metric("i", 1.9, limit=2.0, ok=True, question=3),
+        metric("h", -0.9, limit=1.0, ok=True, question=Question.MOTION),
+        metric("i", 1.9, limit=2.0, ok=True, question=Question.FORCES),
     )
     zero, unknown = (
-        metric("j", 5.0, limit=0.0, ok=True, question=3),
-        metric("k", None, limit=0.1, question=3),
+        metric("j", 5.0, limit=0.0, ok=True, question=Question.FORCES),
+        metric("k", None, limit=0.1, question=Question.FORCES),
     )
     judge, own = (
         metric("l", 0.99, limit=1.0, ok=True),
-        metric("tracked_h", 0.1, limit=1.0, ok=True, question=4),
+        metric("tracked_h", 0.1, limit=1.0, ok=True, question=Question.MOTION),
     )
     assert decided("holds", near, nearer, zero, unknown, judge, own) == "i"
     assert decided("holds", within, near) == "h", "by its size"
@@ -161,7 +166,7 @@ def test_which_metric_decides():
             near,
             nearer,
             own,
-            metric("feedback_effort", 0.2, limit=1.0, ok=True, question=4),
+            metric("feedback_effort", 0.2, limit=1.0, ok=True, question=Question.MOTION),
             followed=True,
         )
         == "feedback_effort"
@@ -386,9 +391,9 @@ def test_where_motions_end_in_words():
 
 def test_metrics_that_belong_to_no_question_are_shown_last():
     metrics = (
-        metric("a", 1.0, question=3, limit=2.0, ok=True), metric("b", 1.0),
+        metric("a", 1.0, question=Question.FORCES, limit=2.0, ok=True), metric("b", 1.0),
         metric("c", 1.0, limit=2.0, ok=True),
-        metric("d", None, question=3, reason="not asked."), metric("e", 1.0, question=2),
+        metric("d", None, question=Question.FORCES, reason="not asked."), metric("e", 1.0, question=Question.GOAL),
     )  # fmt: skip
     (stage,) = ran("a", *metrics, questions=factory.questions()).stages
     found = judged.questions_of(stage)
@@ -400,14 +405,16 @@ def test_metrics_that_belong_to_no_question_are_shown_last():
     assert [
         (view.text, [item.name for item in view.metrics]) for view in judged.questions_of(bare)
     ] == [("Shown, not judged", ["a", "b", "c", "d", "e"])]
-    reason = judged.MetricView("x", metric("x", 1.0, question=3, reason="why"), None)
+    reason = judged.MetricView("x", metric("x", 1.0, question=Question.FORCES, reason="why"), None)
     assert (reason.waived, reason.is_judged) == ("why", False)
     assert judged.MetricView(
-        "x", None, metric("x", 1.0, question=3, limit=1.0, reason="why")
+        "x", None, metric("x", 1.0, question=Question.FORCES, limit=1.0, reason="why")
     ).is_judged
     assert (
         judged.MetricView("x", metric("x", 1.0, reason="why"), None).waived
-        == judged.MetricView("x", metric("x", None, question=3, reason="why"), None).waived
+        == judged.MetricView(
+            "x", metric("x", None, question=Question.FORCES, reason="why"), None
+        ).waived
         == ""
     )
 

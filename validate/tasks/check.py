@@ -22,7 +22,8 @@ from typing import Any
 
 from models.errors import MachineError, TouchstoneError
 from models.results.check import CheckRecord
-from models.results.run import MetricRecord, ProvenanceRecord
+from models.results.run import ProvenanceRecord
+from models.results.verdict import Metric
 from validate.processes.disk import raise_if_disk_ended
 from validate.store.provenance import function_key
 from validate.store.store import log_in, progress
@@ -53,7 +54,7 @@ class Found:
 
     passed: bool
     sentence: str
-    figures: tuple[MetricRecord, ...] = ()
+    figures: tuple[Metric, ...] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
 
 

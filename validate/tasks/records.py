@@ -12,8 +12,6 @@ from formulations.solution import Outcome, Solution
 from models.results.run import (
     LONGEST_HISTORY,
     CertificateRecord,
-    MetricRecord,
-    QuestionRecord,
     ReplayRecord,
     RunRecord,
     SceneRecord,
@@ -31,7 +29,6 @@ if TYPE_CHECKING:
     from models.trajectory import Trajectory
     from validate.judge.replay import Difference, Replay
     from validate.judge.score import Score
-    from validate.judge.score.verdict import Metric
     from validate.tasks.leg import Planned
     from validate.tasks.task import RunTask
 
@@ -43,7 +40,9 @@ def certificate_record(certificate: Certificate | None) -> CertificateRecord | N
     found: dict[str, Any] = {
         item.name: getattr(certificate, item.name) for item in fields(CertificateRecord)
     }
-    numbers = {name: finite(found[name]) for name in ("primal", "complementarity", "dual")}
+    numbers: dict[str, Any] = {
+        name: finite(found[name]) for name in ("primal", "complementarity", "dual")
+    }
     return CertificateRecord(**(found | numbers))
 
 
@@ -279,26 +278,14 @@ def _position(difference: Difference | None) -> float | None:
     return None if difference is None else finite(difference.position)
 
 
-def _metric(metric: Metric) -> MetricRecord:
-    numbers = {
-        "value": finite(metric.value),
-        "error": finite(metric.error),
-        "limit": finite(metric.limit),
-    }
-    return MetricRecord(**{**asdict(metric), **numbers, "question": metric.question.number})
-
-
 def _of_score(judged: Judged) -> dict[str, Any]:
     fields: dict[str, Any] = (
         {} if judged.replay is None else {"replay": _replay(judged.replay, judged.score)}
     )
     if judged.score is not None:
         fields |= {
-            "metrics": tuple(map(_metric, judged.score.metrics)),
-            "questions": tuple(
-                QuestionRecord(number=question.number, text=question.value, answer=answer)
-                for question, answer in judged.score.questions
-            ),
+            "metrics": judged.score.metrics,
+            "questions": judged.score.questions,
             "not_asked": judged.score.not_asked,
             "cause": judged.score.cause,
         }

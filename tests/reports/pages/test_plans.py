@@ -7,7 +7,8 @@ from typing import Any, Literal
 
 import pytest
 
-from models.results.run import OWN_STEP, QuestionRecord, RunRecord
+from models.results.run import OWN_STEP, RunRecord
+from models.results.verdict import Question
 from reports.foreign import Answers, answers, planned, sentence
 from reports.load import Stored
 from reports.pages import plans
@@ -29,8 +30,7 @@ def judged(
     run = factory.run("strict", None, "strict_lcp", key=f"{instance}-{by}", verdict=verdict)
     changes: dict[str, Any] = {"kind": "given", "verdict": verdict, "cause": cause, "paper": {}}
     changes["residuals"] = {} if missed is None else {OWN_STEP: missed}
-    asked = QuestionRecord(number=6, text="own scheme", answer=discrete or "not asked")
-    changes["questions"] = (asked,)
+    changes["questions"] = ((Question.SCHEME, discrete or "not asked"),)
     return replace(
         run,
         instance=instance,

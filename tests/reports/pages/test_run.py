@@ -10,6 +10,7 @@ import pytest
 from wording import unsaid
 
 from models.results.run import RunRecord, TrackedRecord
+from models.results.verdict import Question
 from reports.load import Stored
 from reports.pages import run as one_run
 from reports.pages.run import decision_of, not_applicable, view_of
@@ -82,7 +83,7 @@ def test_why_a_run_does_not_apply(message: str, said: str):
 
 
 def test_why_a_run_has_its_verdict():
-    bad = judged("physics_scaled", 2.0, question=3, limit=1.0, ok=False)
+    bad = judged("physics_scaled", 2.0, question=Question.FORCES, limit=1.0, ok=False)
     answers = factory.questions(q3="no")
     run = ran(
         "a",
@@ -95,12 +96,14 @@ def test_why_a_run_has_its_verdict():
         questions=answers,
     )
     found = decision_of(run)
-    assert (found.question.number, found.metric) == (3, bad)
+    assert (found.question[0].number, found.metric) == (3, bad)
     assert not unsaid(found.cause, "Relaxed contact: … not those of contact. It is too much.")
     assert not unsaid(found.advice, "Tighten the solver's tolerance")
     good = decision_of(
         replace(
-            ran("a", judged("x", 0.5, question=2, limit=1.0, ok=True), cost=None, why=""),
+            ran(
+                "a", judged("x", 0.5, question=Question.GOAL, limit=1.0, ok=True), cost=None, why=""
+            ),
             message="never told",
         )
     )
@@ -119,15 +122,15 @@ def test_why_a_run_has_its_verdict():
 
 def test_judged_metrics_of_all_stages_stand_side_by_side():
     first = ran(
-        "a", judged("b", 1.0, question=5, limit=3.0),
-        judged("tracked_b", 9.0, question=5, limit=3.0), judged("feedback_effort", 2.0, limit=1.0),
+        "a", judged("b", 1.0, question=Question.POSSIBLE, limit=3.0),
+        judged("tracked_b", 9.0, question=Question.POSSIBLE, limit=3.0), judged("feedback_effort", 2.0, limit=1.0),
         judged("shown", 4.0),
     ).stages[0]  # fmt: skip
     second = ran(
         "a",
-        judged("b", 2.0, question=5, limit=4.0),
+        judged("b", 2.0, question=Question.POSSIBLE, limit=4.0),
         judged("c", 7.0, limit=1.0),
-        judged("d", 8.0, question=1, limit=1.0),
+        judged("d", 8.0, question=Question.TASK, limit=1.0),
         eps=1e-3,
     ).stages[0]
     run = replace(ran("a"), stages=(first, replace(second, index=1)))
@@ -168,7 +171,7 @@ def test_both_ends_are_told_where_there_is_feedback():
         False,
     )
     bare = {"has_plan": False, "replay": None, "iterations": 0}
-    seconds = replace(one.seconds, stage=0.0)
+    seconds = replace(one.seconds, wall=0.0)
     for changes, idle in (
         (bare, False),
         (bare | {"seconds": seconds}, True),
@@ -259,7 +262,7 @@ def test_the_page_of_a_run_begins_with_its_verdict(factory, tmp_path):
     }  # fmt: skip
     run = replace(run, stages=(replace(stage, **said),))
     decision = decision_of(run)
-    assert (decision.question.number, decision.metric.name, decision.metric.value) == (
+    assert (decision.question[0].number, decision.metric.name, decision.metric.value) == (
         4,
         "replay_terminal_position_error",
         0.12,
@@ -336,7 +339,9 @@ def test_a_page_of_an_earlier_run_of_its_name_is_written_again(factory, tmp_path
 def test_a_metric_that_could_not_be_measured_decides_with_its_reason(factory, tmp_path):
     run = factory.run("strict", None, "strict_lcp", verdict="undecided")
     (stage,) = run.stages
-    lost = replace(stage.metrics[-2], value=None, ok=None, reason="the replay left every bound")
+    lost = replace(
+        stage.metrics[-2], value=None, ok=None, default=False, reason="the replay left every bound"
+    )
     run = replace(run, stages=(replace(stage, metrics=(lost,), verdict="undecided"),))
     folder = factory.store(tmp_path / "all", [run])
     write_report(folder)

@@ -10,8 +10,9 @@ import pytest
 from wording import unsaid
 
 from models.results.check import AxisRecord, ChartRecord, CheckRecord, SeriesRecord
-from models.results.run import MetricRecord, QuantityRecord, RunRecord, SceneRecord
+from models.results.run import QuantityRecord, RunRecord, SceneRecord
 from models.results.stored import from_data
+from models.results.verdict import Metric
 from reports.load import Stored
 from reports.pages import checks, sweeps
 from reports.pages.section import Report
@@ -282,8 +283,8 @@ def test_zeros_of_a_logarithmic_axis_stand_below_and_off_the_line():
     )
 
 
-def figure(name: str, ok: bool | None, **changes: object) -> MetricRecord:
-    return from_data(MetricRecord, {
+def figure(name: str, ok: bool | None, **changes: object) -> Metric:
+    return from_data(Metric, {
             "name": name, "value": 0.25, "unit": "m^2", "meaning": f"meaning of {name}",
             "limit": 0.5, "reason": f"reason of {name}", "ok": ok,
             **changes,

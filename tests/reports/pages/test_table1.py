@@ -252,7 +252,7 @@ def timed(name: str, ours: float, theirs: float) -> RunRecord:
     run = beside(name, 100.0, 100.0)
     (stage,) = run.stages
     stage = replace(
-        stage, paper={"cost": 100.0, "time": theirs}, seconds=replace(stage.seconds, stage=ours)
+        stage, paper={"cost": 100.0, "time": theirs}, seconds=replace(stage.seconds, wall=ours)
     )
     return replace(run, stages=(stage,))
 

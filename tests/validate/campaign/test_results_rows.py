@@ -13,14 +13,8 @@ import pytest
 
 from models.results.check import CheckRecord
 from models.results.robustness import Share, Survey
-from models.results.run import (
-    MetricRecord,
-    ReplayRecord,
-    RunRecord,
-    Seconds,
-    StageRecord,
-    ViolationPoint,
-)
+from models.results.run import ReplayRecord, RunRecord, Seconds, StageRecord, ViolationPoint
+from models.results.verdict import Metric
 from tests.reports import record_factory as factory
 from validate.campaign.results import (
     CHECKS,
@@ -43,8 +37,8 @@ _FIRST = (
 METRICS = (*_FIRST, *(name for name in metric_names() if name not in (*_FIRST, "cost")))
 
 
-def metric(name: str, value: float | None) -> MetricRecord:
-    return MetricRecord(
+def metric(name: str, value: float | None) -> Metric:
+    return Metric(
         name=name,
         value=value,
         unit="m",

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from models.results.run import MetricRecord, TrackedRecord
+from models.results.run import TrackedRecord
+from models.results.verdict import Metric, Question
 from reports.judged import cause_of_stage
 from tests.reports import record_factory as factory
 from validate.campaign.stored import stored_names, title_of
@@ -19,23 +20,29 @@ def test_a_run_that_holds_with_feedback_shows_both_ends(cli, tmp_path: Path):
     run = factory.run("strict", None, "strict_lcp", verdict="holds with feedback")
     (stage,) = run.stages
     metrics = (
-        MetricRecord(
+        Metric(
             name="cost",
             value=-0.0,
             unit="1",
             meaning="m",
-            question=2,
+            question=Question.GOAL,
             reason="no way is known to be cheap",
         ),
-        MetricRecord(
-            name="replay_error", value=0.6, unit="m", meaning="m", question=4, limit=0.01, ok=False
+        Metric(
+            name="replay_error",
+            value=0.6,
+            unit="m",
+            meaning="m",
+            question=Question.MOTION,
+            limit=0.01,
+            ok=False,
         ),
-        MetricRecord(
+        Metric(
             name="tracked_replay_error",
             value=0.004,
             unit="m",
             meaning="m",
-            question=4,
+            question=Question.MOTION,
             limit=0.01,
             ok=True,
             error=1e-9,
@@ -122,12 +129,12 @@ def test_the_default_limit_of_what_could_not_be_measured_is_not_known(
 ):
     """It is made of what could not be measured; a limit that the scene set is told."""
     monkeypatch.setenv("COLUMNS", "300")
-    metric = MetricRecord(
+    metric = Metric(
         name="max_penetration",
         value=value,
         unit="m",
         meaning="depth",
-        question=5,
+        question=Question.POSSIBLE,
         limit=0.25,
         default=default,
     )
@@ -143,12 +150,12 @@ def test_the_default_limit_of_what_could_not_be_measured_is_not_known(
 @pytest.mark.parametrize("width", [80, 100])
 def test_verdict_metric_and_cause_come_before_a_table_that_fits(monkeypatch, capsys, width: int):
     monkeypatch.setenv("COLUMNS", str(width))
-    beyond = MetricRecord(
+    beyond = Metric(
         name="replay_terminal_position_error",
         value=0.31,
         unit="m",
         meaning="distance of the end of the replay from the goal, in all positions",
-        question=4,
+        question=Question.MOTION,
         limit=0.01,
         ok=False,
         reason="a reason that is longer than a line of a terminal has room for " * 3,

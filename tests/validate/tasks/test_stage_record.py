@@ -23,13 +23,12 @@ from models.results.run import (
     CertificateRecord,
     ContactRecord,
     LegRecord,
-    MetricRecord,
     QuantityRecord,
-    QuestionRecord,
     ReplayRecord,
     StageRecord,
     TrackedRecord,
 )
+from models.results.verdict import Metric, Question
 from models.scene import Limit
 from models.trajectory import Trajectory, uniform_grid
 from tests.reports import record_factory as factory
@@ -42,8 +41,7 @@ from validate.judge.replay.result import (
     ReplayOutcome,
 )
 from validate.judge.replay.wiring import Effort
-from validate.judge.score import Question, Score, Verdict
-from validate.judge.score.verdict import Metric
+from validate.judge.score import Score, Verdict
 from validate.tasks import scene_record as module
 from validate.tasks.leg import Planned
 from validate.tasks.paper import paper_row
@@ -178,15 +176,15 @@ def test_every_field_of_a_stage_stands_in_its_own():
             cpu=6.5, total=107.0, replay=8.0
         ),
         metrics=(
-            MetricRecord(
-                name="replay_error", value=1.5, unit="m", meaning="far", question=4, error=0.25,
+            Metric(
+                name="replay_error", value=1.5, unit="m", meaning="far", question=Question.MOTION, error=0.25,
                 limit=2.5, reason="r", ok=True, default=False
             ),
         ),
         verdict="holds", why="so",
         questions=(
-            QuestionRecord(number=2, text=Question.GOAL.value, answer="yes"),
-            QuestionRecord(number=None, text=Question.JUDGE.value, answer="undecided"),
+            (Question.GOAL, "yes"),
+            (Question.JUDGE, "undecided"),
         ),
         not_asked=("friction: none",), has_plan=True,
         replay=ReplayRecord(
@@ -273,22 +271,6 @@ def test_an_error_of_the_replay_that_is_not_known_is_missing():
         found.step_difference,
     ) == (None, None, None)
     assert (found.judged, found.growth_rate, found.tracked) == ("open", None, None)
-
-
-@pytest.mark.parametrize(
-    ("value", "said"), [(0.0, 0.0), (-0.0, 0.0), (1e-9, 1e-9), (math.inf, None), (math.nan, None)]
-)
-def test_an_error_that_is_not_known_is_not_recorded_as_none(value: float, said: float | None):
-    (found,) = recorded(solution(), Judged(score=scored(metric(error=value)))).metrics
-    assert found.error == said
-
-
-@pytest.mark.parametrize("value", [None, math.inf, math.nan])
-def test_what_was_not_measured_has_no_value(value: float | None):
-    (found,) = recorded(
-        solution(), Judged(score=scored(metric(value=value, limit=math.inf, ok=None)))
-    ).metrics
-    assert (found.value, found.limit, found.ok) == (None, None, None)
 
 
 def test_iterations_that_are_not_finite_are_left_out_and_long_histories_are_thinned():

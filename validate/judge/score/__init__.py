@@ -36,6 +36,7 @@ from validate.judge.score.verdict import (
     Unmeasured,
     Verdict,
     decide,
+    held_to,
     wants_feedback,
 )
 
@@ -330,7 +331,7 @@ def _metric(entry: MetricEntry, case: Evidence) -> Metric:
     bound = (stated if scene_limit is not None else stated * scale) + allowed
     if not math.isfinite(bound):
         return measured
-    return measured.held_to(bound, reason, default=scene_limit is None)
+    return held_to(measured, bound, reason, default=scene_limit is None)
 
 
 def _can_be_asked(entry: MetricEntry, case: Evidence) -> bool:
