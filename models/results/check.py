@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Literal
 
 from models.results.fields import Result
@@ -46,23 +47,41 @@ class ChartRecord(Result):
     words: str = ""
 
 
+class Status(StrEnum):
+    """The outcome of a check, as the table shows it."""
+
+    PASSED = "passed"
+    FAILED = "failed"
+    NOT_OFFERED = "not offered"  # the FMU does not offer the feature, or it cannot be measured
+    ADVICE = "advice"  # allowed, and a trap for users
+    WAIVED = "waived"  # failed, and the user gave a reason why that is right
+
+
 @dataclass(frozen=True, kw_only=True)
-class CheckRow(Result):
+class FmuCheckRow(Result):
     """One check of an FMU: its claim and the finding.
 
-    - type: "ME", "CS", or "" for the file.
+    - type: of FMI, "ME" or "CS"; "" for the file.
     - clause: section of the standard.
-    - severity: of a failure, "" if unknown.
     """
 
     name: str
     type: str
     claim: str
-    status: Literal["passed", "failed", "not offered", "advice", "waived"]
+    status: Status
     sentence: str
     seconds: float
     clause: str = ""
-    severity: Literal["", "error", "behaviour", "advice"] = ""
+
+    @property
+    def title(self) -> str:
+        """Return the name of the check, with the type of FMI."""
+        return f"{self.name} ({self.type})" if self.type else self.name
+
+    @property
+    def severity(self) -> str:
+        """Return `error` if the standard demands it, else `behaviour`; `advice` for advice."""
+        return "advice" if self.status is Status.ADVICE else "error" if self.clause else "behaviour"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,16 +94,16 @@ class FmuRecord(Result):
     sha256: str
     export_seconds: float
     check_seconds: float
-    rows: tuple[CheckRow, ...]
+    rows: tuple[FmuCheckRow, ...]
 
     def count(self, status: str) -> int:
         """Return the number of checks with this status."""
         return sum(row.status == status for row in self.rows)
 
     @property
-    def failed(self) -> tuple[CheckRow, ...]:
+    def failed(self) -> tuple[FmuCheckRow, ...]:
         """Return the failed checks."""
-        return tuple(row for row in self.rows if row.status == "failed")
+        return tuple(row for row in self.rows if row.status is Status.FAILED)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from models.results.fields import Encoded, Floats, Result
+from models.results.fields import Encoded, Floats, OrInfinite, Result
 from models.results.robustness import Survey
 from models.results.verdict import TRACKED, Answer, Metric, Question, Verdict
 
@@ -145,27 +145,33 @@ class SceneRecord(Result):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackedRecord(Result):
-    """Facts about the replay with feedback.
+class Effort(Result):
+    """Corrections by feedback.
 
-    - rms, peak: corrections of each input, in its unit.
+    - rms, peak: of each input over time, in its unit.
     - rms_share, peak_share: largest over the inputs, of half their range.
-    - plan_share: of the plan's inputs (None: those are 0).
-    - saturated: share of steps at a bound.
-    - Further fields: as in ReplayRecord.
+    - plan_share: rms of corrections over rms of the plan's inputs, averaged over windows
+      (models.trajectory.input_share); None: those inputs are 0.
+    - saturated: fraction of steps at a bound because of a correction.
     """
 
-    error_estimate: float | None
-    events: int = 0
-    seconds_reference: float = 0.0
-    seconds_everyday: float = 0.0
-    message: str = ""
     rms: tuple[float, ...] = ()
     peak: tuple[float, ...] = ()
     rms_share: float = 0.0
     peak_share: float = 0.0
     plan_share: float | None = 0.0
     saturated: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackedRecord(Effort):
+    """Facts about the replay with feedback; further fields: as in ReplayRecord."""
+
+    error_estimate: float | None
+    events: int = 0
+    seconds_reference: float = 0.0
+    seconds_everyday: float = 0.0
+    message: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -424,24 +430,45 @@ class ViolationPoint(Result):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TimeStepRecord(Result):
-    """Stability of a scene's time step with closed contacts.
+class StepStability(Result):
+    """Stability of a time step while contacts are closed.
 
-    - radius: spectral radius of the step's Jacobian.
-    - growth [1/s]: of the motion itself.
-    - largest_step [s]: stable below with any contacts (None: always).
-    - warning: "" if stable.
-    - digest: of the scene.
+    - step: [s].
+    - radius: spectral radius of the step's Jacobian, for the worst set of contacts.
+    - contacts: names of that set.
+    - growth: growth rate of the motion itself there [1/s], or 0.
+    - largest_step: limit of stable steps [s], may be infinite.
     """
 
     scene: str
-    digest: str
     step: float
     radius: float
     contacts: tuple[str, ...]
     growth: float
-    largest_step: float | None
-    warning: str = ""
+    largest_step: OrInfinite
+
+    @property
+    def is_stable(self) -> bool:
+        """Return whether the step is below the largest stable one."""
+        return self.step < self.largest_step
+
+    @property
+    def sentence(self) -> str:
+        """Return a warning for the user, or ""."""
+        if self.is_stable:
+            return ""
+        closed = " and ".join(self.contacts) or "no contact"
+        return (
+            f"scene {self.scene}: with {closed} closed, a step of {self.step:g} s lies past the stability limit of semi-implicit Euler "
+            f"(spectral radius {self.radius:.4g}); plans of this grid blow up in contact: take a step below {self.largest_step:.3g} s, or softer contact."
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimeStepRecord(StepStability):
+    """Stability of the time step of a planned scene; digest: of the scene."""
+
+    digest: str
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -313,7 +313,9 @@ def notices(report: Report) -> list[str]:
     if stored.campaign is not None:
         if stored.campaign.quick:
             sentences.append("This was a quick campaign; what it left out is listed below.")
-        sentences += [capital(item.warning) for item in stored.campaign.time_steps if item.warning]
+        sentences += [
+            capital(item.sentence) for item in stored.campaign.time_steps if not item.is_stable
+        ]
     return sentences
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 from xml.etree import ElementTree
 
@@ -25,14 +26,16 @@ def time_step(report: Report, scene: str) -> str:
     )
     if known is None:
         return ""
-    if known.warning:
-        return f"Past its stability limit: {known.warning}"
+    if not known.is_stable:
+        return f"Past its stability limit: {known.sentence}"
     closed = listing(list(known.contacts)) or "no contact"
     grows = (
         f", the motion itself grows at {number(known.growth, 3)}/s there" if known.growth else ""
     )
     limit = (
-        "at any step" if known.largest_step is None else f"below {number(known.largest_step, 3)} s"
+        "at any step"
+        if math.isinf(known.largest_step)
+        else f"below {number(known.largest_step, 3)} s"
     )
     largest = f"the largest spectral radius of its Jacobian is {number(known.radius, 6)}, with {closed} closed{grows}"
     return f"The time step of {number(known.step)} s is stable in contact: {largest}; it is stable {limit}."

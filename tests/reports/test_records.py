@@ -21,7 +21,7 @@ from wording import unsaid
 import models.results.check
 import models.results.run
 import reports.load
-from models.results.check import CheckRecord, CheckRow, FmuRecord, divided
+from models.results.check import CheckRecord, FmuCheckRow, FmuRecord, Status, divided
 from models.results.robustness import Way
 from models.results.run import (
     LONGEST,
@@ -157,7 +157,9 @@ def test_a_record_says_itself_what_it_is():
 def test_checks_of_an_fmu_are_counted_by_how_they_ended():
     ends = ("failed", "passed", "not offered", "failed", "passed", "passed")
     rows = tuple(
-        CheckRow(name=f"{n}", type="ME", claim="", status=status, sentence="", seconds=0.0)
+        FmuCheckRow(
+            name=f"{n}", type="ME", claim="", status=Status(status), sentence="", seconds=0.0
+        )
         for n, status in enumerate(ends)
     )
     fmu = FmuRecord(

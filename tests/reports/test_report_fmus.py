@@ -6,7 +6,7 @@ from pathlib import Path
 
 from wording import unsaid
 
-from models.results.check import CheckRecord, CheckRow, FmuRecord
+from models.results.check import CheckRecord, FmuCheckRow, FmuRecord, Status
 from models.results.stored import from_data
 from reports.load import load
 from reports.render import PAGES, write_report
@@ -24,11 +24,11 @@ def _fmu(
     factory, scene: str, version: str, statuses: tuple[str, ...], **changes: object
 ) -> CheckRecord:
     rows = tuple(
-        CheckRow(
+        FmuCheckRow(
             name=f"check {place}",
             type="ME",
             claim=f"claim <{place}>",
-            status=status,
+            status=Status(status),
             sentence=f"found {place}.",
             seconds=0.25,
         )

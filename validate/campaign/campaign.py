@@ -10,7 +10,6 @@ time limit below the current one.
 from __future__ import annotations
 
 import hashlib
-import math
 import shutil
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import closing
@@ -233,9 +232,9 @@ class _Campaign:
             )
         scenes = scenes_of(self._entries)
         unstable = [
-            item.warning
+            item.sentence
             for item in self._campaign.time_steps
-            if item.warning and item.scene in scenes
+            if not item.is_stable and item.scene in scenes
         ]
         for sentence in (*self._settings.refused, *unstable, *warnings_of(scenes.values())):
             self._narrator.warns(sentence)
@@ -349,16 +348,5 @@ def time_steps(
         if (scene.name, digest) in known:
             found.append(known[scene.name, digest])
             continue
-        stability = step_stability(scene)
-        largest = stability.largest_step if math.isfinite(stability.largest_step) else None
-        found.append(
-            TimeStepRecord(
-                **{
-                    **asdict(stability),
-                    "largest_step": largest,
-                    "digest": digest,
-                    "warning": stability.sentence,
-                }
-            )
-        )
+        found.append(TimeStepRecord(**asdict(step_stability(scene)), digest=digest))
     return tuple(found)
