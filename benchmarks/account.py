@@ -17,8 +17,8 @@ from pathlib import Path
 import click
 
 from benchmarks.options import campaign_argument
-from reports.records.load import load
-from reports.records.record import RunRecord
+from models.results.run import RunRecord
+from reports.load import load
 from validate.cli.table import table
 
 # Laps of a run's profile that are one cost, and what that is.

@@ -23,10 +23,12 @@ import click
 
 from benchmarks.options import campaign_argument
 from formulations.pipelines import PIPELINES, pipeline_names
+from models.results.check import CheckRecord
+from models.results.run import RunRecord, StageRecord
+from models.results.stored import to_data
+from models.results.verdict import HOLD
+from reports.load import load
 from reports.paper import SCENE
-from reports.records.check_record import CheckRecord
-from reports.records.load import load
-from reports.records.record import HOLD, RunRecord, StageRecord
 from reports.rule import failures
 from validate.tasks.paper import table_rows
 
@@ -263,23 +265,22 @@ def compared(before: Sequence[Row], after: Sequence[Row]) -> Iterator[tuple[str,
             yield ("moved" if words else "kept"), f"{name}: {', '.join(words)}"
 
 
+# Fields of a record that differ between two equal runs: seconds, places and worlds.
+_OF_THE_CALL = {
+    "shared_from", "survey", "provenance", "log_tail", "key", "seconds", "seconds_reference",
+    "seconds_everyday", "wall_seconds", "cpu_seconds", "export_seconds", "check_seconds",
+}  # fmt: skip
+
+
 def bits(record: StageRecord | CheckRecord) -> str:
     """Return a hash of every number of a record except seconds, places and worlds."""
-    left_out: dict[str, Any] = {
-        "shared_from": True,
-        "seconds": True,
-        "survey": True,
-        "starts": {"__all__": {"seconds"}},
-        "replay": {"seconds_reference", "seconds_everyday"},
-        "wall_seconds": True,
-        "cpu_seconds": True,
-        "provenance": True,
-        "log_tail": True,
-        "key": True,
-        "fmu": {"export_seconds": True, "check_seconds": True, "rows": {"__all__": {"seconds"}}},
-    }
-    known = {name: what for name, what in left_out.items() if name in type(record).model_fields}
-    content = record.model_dump(mode="json", exclude=known)
+
+    def kept(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: kept(item) for name, item in value.items() if name not in _OF_THE_CALL}
+        return [kept(item) for item in value] if isinstance(value, list) else value
+
+    content = kept(to_data(record))
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

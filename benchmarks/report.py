@@ -18,7 +18,7 @@ import click
 from benchmarks import module_at
 from benchmarks.measure import timed
 from benchmarks.options import campaign_argument
-from reports.records.load import load
+from reports.load import load
 from reports.render import PAGES, render, write_report
 
 _TRIES = 5

@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from models.results.stored import to_data
 from validate.cli.table import table
 from validate.processes.disk import make_folder, write_durably
 
@@ -20,7 +21,7 @@ def store(out: Path, name: str, figures: Mapping[str, Any]) -> Path:
     from validate.store.provenance import command_line, gather
 
     words = click.get_current_context().find_root().obj or ()
-    provenance = gather(command_line(words, "python -m benchmarks")).model_dump(mode="json")
+    provenance = to_data(gather(command_line(words, "python -m benchmarks")))
     make_folder(out)
     path = out / f"{name}.json"
     write_durably(path, json.dumps({"provenance": provenance, **figures}, indent=1))

@@ -8,6 +8,7 @@ from enum import Enum
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from models.results.run import ModelSize, Seconds
 from models.trajectory import Trajectory
 
 if TYPE_CHECKING:  # a Solution does not import Pyomo
@@ -47,33 +48,6 @@ class Outcome(Enum):
             Outcome.INTERRUPTED,
             Outcome.GIVEN,
         }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Seconds:
-    """Wall and CPU seconds of one stage in this process.
-
-    build: making the model
-    translate: model -> solver
-    evaluate: functions and derivatives
-    linear_algebra: the rest of the solver
-    wall, cpu: the whole stage
-    """
-
-    build: float = 0.0
-    translate: float = 0.0
-    evaluate: float = 0.0
-    linear_algebra: float = 0.0
-    wall: float = 0.0
-    cpu: float = 0.0
-
-    def __add__(self, other: Seconds) -> Seconds:
-        return Seconds(**{name: value + getattr(other, name) for name, value in vars(self).items()})
-
-    @property
-    def solve(self) -> float:
-        """Return the seconds in the solver, as stored in the record of a stage."""
-        return self.evaluate + self.linear_algebra
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,14 +120,6 @@ def checked(
 def beyond(limits: Mapping[str, float], residuals: Mapping[str, float]) -> dict[str, float]:
     """Return the limits that are exceeded; NaN exceeds."""
     return {name: limit for name, limit in limits.items() if not residuals.get(name, 0.0) <= limit}
-
-
-@dataclass(frozen=True, kw_only=True)
-class ModelSize:
-    """Unknowns and equations (without bounds) of a solver's model."""
-
-    unknowns: int
-    equations: int
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,6 +18,7 @@ import numpy as np
 
 from models.codegen.kernel import KernelError, load_kernel
 from models.dynamics import derive
+from models.results.run import StepStability
 from models.scene import Scene
 
 # Up to this number of contacts all sets are checked; beyond, single ones and growing unions: a
@@ -31,41 +32,6 @@ _FASTER = 1.2
 _NEWTON_STEPS = 50
 # Relative error of their typical depth.
 _CLOSED = 1e-6
-
-
-@dataclass(frozen=True, kw_only=True)
-class StepStability:
-    """Stability of a time step while contacts are closed.
-
-    step: [s]
-    radius: spectral radius of the step's Jacobian, for the worst set of contacts
-    contacts: names of that set
-    growth: growth rate of the motion itself there [1/s], or 0
-    largest_step: limit of stable steps [s], may be infinite
-    """
-
-    scene: str
-    step: float
-    radius: float
-    contacts: tuple[str, ...]
-    growth: float
-    largest_step: float
-
-    @property
-    def is_stable(self) -> bool:
-        """Return whether the step is below the largest stable one."""
-        return self.step < self.largest_step
-
-    @property
-    def sentence(self) -> str:
-        """Return a warning for the user, or ""."""
-        if self.is_stable:
-            return ""
-        closed = " and ".join(self.contacts) or "no contact"
-        return (
-            f"scene {self.scene}: with {closed} closed, a step of {self.step:g} s lies past the stability limit of semi-implicit Euler "
-            f"(spectral radius {self.radius:.4g}); plans of this grid blow up in contact: take a step below {self.largest_step:.3g} s, or softer contact."
-        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from reports.records.load import ReportError
+from reports.load import ReportError
 from reports.render import write_report, write_single
 
 

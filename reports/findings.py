@@ -10,8 +10,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 
+from models.results.run import RunRecord, StageRecord
+from models.results.verdict import HOLD
 from reports.foreign import answers, planned, sentence
-from reports.records.record import HOLD, RunRecord, StageRecord
 from reports.rows import rows_of
 from reports.wording import count, error, listing, number, seconds, unit
 

@@ -12,7 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from reports.records.record import HOLD, OWN_STEP, RunRecord, StageRecord
+from models.results.run import OWN_STEP, RunRecord
+from models.results.verdict import HOLD, Question
 from reports.wording import count, listing, spaced
 
 NOT_ASKED = "not asked"
@@ -25,8 +26,6 @@ _GOOD = {
 }
 # Singular of the verdicts that need another verb.
 _ONE = {"consistent": "is consistent"}
-# The question of the judge about the discrete equations.
-_DISCRETE = 6
 
 
 @dataclass(frozen=True)
@@ -106,11 +105,8 @@ def _discrete(run: RunRecord) -> str:
         return "yes" if missed <= 1.0 else "no"
     if stage.options.get("time_step"):
         return "undecided"
-    return _answer(stage, _DISCRETE)
-
-
-def _answer(stage: StageRecord, number: int) -> str:
-    return next((item.answer for item in stage.questions if item.number == number), NOT_ASKED)
+    found = (answer for question, answer in stage.questions if question is Question.SCHEME)
+    return next(found, NOT_ASKED)
 
 
 def sentence(found: Sequence[Answers]) -> str:

@@ -15,12 +15,13 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from reports.names import FEEDBACK, HOLD, TRACKED
+from models.results.verdict import FEEDBACK, HOLD, TRACKED
 from reports.wording import capital, measured, spaced
 
 if TYPE_CHECKING:  # `replay` has stages that are no records, and does without pydantic: 0.4 s
-    from reports.records.check_record import CheckRecord
-    from reports.records.record import MetricRecord, RunRecord, SceneRecord, StageRecord
+    from models.results.check import CheckRecord
+    from models.results.run import RunRecord, SceneRecord, StageRecord
+    from models.results.verdict import Metric
 
 SHOWN = "Shown, not judged"
 
@@ -30,11 +31,11 @@ class MetricView:
     """One metric for the pages, without and with feedback; None if there is no value."""
 
     name: str
-    alone: MetricRecord | None
-    followed: MetricRecord | None
+    alone: Metric | None
+    followed: Metric | None
 
     @property
-    def metric(self) -> MetricRecord:
+    def metric(self) -> Metric:
         """Return the metric with unit, limit and meaning."""
         found = self.alone or self.followed
         assert found is not None  # one of them exists
@@ -54,7 +55,7 @@ class MetricView:
         metric = self.metric
         return (
             ""
-            if self.is_judged or metric.value is None or metric.question is None
+            if self.is_judged or metric.value is None or metric.question.number is None
             else metric.reason
         )
 
@@ -73,22 +74,24 @@ def questions_of(stage: StageRecord) -> list[QuestionView]:
     """Return the questions in order, then metrics of the judge, and those only shown."""
     views = _views(stage)
     result = []
-    for question in stage.questions:
+    for question, answer in stage.questions:
         mine = tuple(view for view in views if _belongs(view, question.number))
-        result.append(QuestionView(question.number, question.text, question.answer, mine))
+        result.append(QuestionView(question.number, question.value, answer, mine))
     used = {id(view) for question in result for view in question.metrics}
     rest = tuple(
         view
         for view in views
-        if id(view) not in used and (view.metric.question is None or not stage.questions)
+        if id(view) not in used and (view.metric.question.number is None or not stage.questions)
     )
     return [*result, QuestionView(None, SHOWN, "", rest)] if rest else result
 
 
 def _belongs(view: MetricView, number: int | None) -> bool:
     if number is None:
-        return view.metric.question is None and view.is_judged
-    return view.metric.question == number and (view.is_judged or view.metric.value is not None)
+        return view.metric.question.number is None and view.is_judged
+    return view.metric.question.number == number and (
+        view.is_judged or view.metric.value is not None
+    )
 
 
 def _views(stage: StageRecord) -> list[MetricView]:
@@ -227,28 +230,28 @@ _NO_MOTION = Cause(
 )
 
 
-def deciding(stage: StageRecord) -> MetricRecord | None:
+def deciding(stage: StageRecord) -> Metric | None:
     """Return the metric that decided a verdict: the first failing or undecided one.
 
     For a plan that holds the metric nearest to its limit; None without judged metrics.
     """
     judged = sorted(
         (metric for metric in stage.metrics if metric.limit is not None),
-        key=lambda metric: metric.question or 7,
+        key=lambda metric: metric.question.number or 7,
     )
     alone = [metric for metric in judged if not metric.name.startswith((TRACKED, FEEDBACK))]
     if stage.verdict == "violates":
         return next(
             (
                 metric
-                for metric in (*(item for item in alone if item.question), *judged)
+                for metric in (*(item for item in alone if item.question.number), *judged)
                 if metric.ok is False
             ),
             None,
         )
     if stage.verdict == "undecided":
         unsure = [metric for metric in alone if metric.ok is not True]
-        return next((metric for metric in unsure if metric.question is None), None) or next(
+        return next((metric for metric in unsure if metric.question.number is None), None) or next(
             iter(unsure), None
         )
     if stage.verdict in HOLD:
@@ -258,14 +261,14 @@ def deciding(stage: StageRecord) -> MetricRecord | None:
             else alone
         )
         return max(
-            (metric for metric in counted if metric.value is not None and metric.question),
+            (metric for metric in counted if metric.value is not None and metric.question.number),
             key=_share,
             default=None,
         )
     return None
 
 
-def _share(metric: MetricRecord) -> float:
+def _share(metric: Metric) -> float:
     return abs(metric.value or 0.0) / metric.limit if metric.limit else 0.0
 
 

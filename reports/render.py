@@ -32,12 +32,12 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from models.results.run import RunRecord
 from reports import wording
+from reports.load import ReportError, Stored, record_files
+from reports.load import load as load_campaign
 from reports.pages import overview, pareto, run, scene, sweeps, table1, violation
 from reports.pages.section import PAGES, REPORT, Report, Section, scene_page
-from reports.records.load import ReportError, Stored, record_files
-from reports.records.load import load as load_campaign
-from reports.records.record import RunRecord
 from touchstone_annexes import load, present
 
 SINGLE = "single.html"

@@ -10,9 +10,10 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from models.results.run import RunRecord, SceneRecord, StageRecord
+from models.results.verdict import HOLD
 from reports.judged import end_of
 from reports.paper import TABLE_1, PaperRow
-from reports.records.record import HOLD, RunRecord, SceneRecord, StageRecord
 from reports.wording import small
 
 

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from reports.records.check_record import CheckRecord, divided
-from reports.records.record import HOLD, RunRecord, StageRecord
+from models.results.check import CheckRecord, divided
+from models.results.run import RunRecord, StageRecord
+from models.results.verdict import HOLD
 
 # Causes of failure, each completing "A campaign fails if".
 RULE = (
@@ -72,7 +73,7 @@ def _is_finding(run: RunRecord) -> bool:
 
 def _is_of_the_time_step(stage: StageRecord) -> bool:
     """Return whether only the grid fails: 1 to 3 and 6 pass, 4 or 5 fails, refinement helps."""
-    answers = {question.number: question.answer for question in stage.questions}
+    answers = {question.number: answer for question, answer in stage.questions}
     if not stage.questions or any(
         answers.get(number) not in ("yes", "not asked") for number in (1, 2, 3, 6)
     ):

@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.records.record import RunRecord, SceneRecord, StageRecord, stage_files, thin
+from models.results.run import RunRecord, SceneRecord, StageRecord, stage_files, thin
 
 Array = NDArray[np.float64]
 # Smallest force that counts as contact: a thousandth of the smallest drawn [N].

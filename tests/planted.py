@@ -99,14 +99,14 @@ ROOMS = {
     "checker": (("validate/fmu_check/*.py",), ("tests/validate/fmu_check/*.py",)),
     "stress": (("validate/stress/**/*.py",), ("tests/validate/stress/*.py",)),
     "record": (
-        ("validate/tasks/*record*.py", "validate/campaign/results.py", "reports/records/*.py"),
+        ("validate/tasks/*record*.py", "validate/campaign/results.py", "models/results/*.py"),
         (
             "tests/validate/store/*.py",
             "tests/validate/tasks/*.py",
             "tests/validate/campaign/test_campaign*.py",
             "tests/validate/test_campaign_end_to_end.py",
             "tests/validate/campaign/test_results_rows.py",
-            "tests/reports/records/*.py",
+            "tests/reports/test_records.py",
             "tests/reports/test_re*_[!b]*.py",
         ),
     ),

@@ -19,7 +19,7 @@ import formulations.pipelines
 from formulations.method import Kind, Leg, Pipeline
 from models.catalog import load_scene, scene_names
 from models.errors import TouchstoneError, UnknownNameError
-from reports.records.load import load
+from reports.load import load
 from tests.formulations import test_method_conformance as asked_of_methods
 from tests.models import test_scene_bank as asked_of_scenes
 from validate.tasks.plugins import DEFAULT, load_plugin

@@ -30,10 +30,10 @@ import touchstone
 from formulations.pipelines import PIPELINES, load_method, method_names
 from models.catalog import load_scene, scene_names
 from models.kinematics import evaluate
+from models.results.run import ShapeRecord
 from models.scene import Scene
 from reports.pages.player import placed
 from reports.pages.scene import safe_mathml
-from reports.records.record import ShapeRecord
 from reports.render import render_players
 from validate.judge.score.table import FEEDBACK, TABLE
 from validate.judge.score.verdict import Question

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import NamedTuple
 
+from models.results.run import ProvenanceRecord, RunRecord
 from reports.pages.section import Report, Section
-from reports.records.record import ProvenanceRecord, RunRecord
 from reports.wording import count, listing, seconds, spaced
 
 _SLOWEST = 10

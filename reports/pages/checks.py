@@ -5,14 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from models.results.check import AxisRecord, ChartRecord, CheckRecord
+from models.results.verdict import Metric
 from reports.pages.section import Report, Section
 from reports.plots import Axis, Key, Plot
-from reports.records.check_record import (
-    AxisRecord,
-    ChartRecord,
-    CheckRecord,
-)
-from reports.records.record import MetricRecord
 from reports.wording import Sign, capital, count, listing, number, spaced
 
 FMU = "FMU"
@@ -122,7 +118,7 @@ class CaseRow(NamedTuple):
     record: CheckRecord
     sign: Sign
     happened: str
-    decisive: tuple[MetricRecord, ...]
+    decisive: tuple[Metric, ...]
     plots: tuple[Plot, ...]
 
 

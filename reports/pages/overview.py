@@ -9,16 +9,17 @@ from collections.abc import Sequence
 from statistics import median
 from typing import NamedTuple
 
+from models.results.run import CampaignRecord, RunRecord
+from models.results.verdict import HOLD
 from reports.findings import ENOUGH, NOT_ASKED, cost_ratio, least_costs, three_findings
 from reports.judged import Cause, by_cause, cause_of, deciding
+from reports.load import Unreadable
 from reports.pages.pareto import TICK, cpu, draw_front, keys, style_of, told_error
 from reports.pages.player import Film, strip
 from reports.pages.run import not_applicable
 from reports.pages.section import Report, Section
 from reports.paper import SCENE as PAPER_SCENE
 from reports.plots import Axis, Plot
-from reports.records.load import Unreadable
-from reports.records.record import HOLD, CampaignRecord, RunRecord
 from reports.rows import Row
 from reports.rule import RESULTS, RULE, failed_keys, failures
 from reports.wording import (
@@ -312,7 +313,9 @@ def notices(report: Report) -> list[str]:
     if stored.campaign is not None:
         if stored.campaign.quick:
             sentences.append("This was a quick campaign; what it left out is listed below.")
-        sentences += [capital(item.warning) for item in stored.campaign.time_steps if item.warning]
+        sentences += [
+            capital(item.sentence) for item in stored.campaign.time_steps if not item.is_stable
+        ]
     return sentences
 
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from models.results.run import SceneRecord
+from models.results.verdict import TRACKED, Metric
 from reports.pages.section import Report, Section
 from reports.plots import Axis, Key, Plot, is_wide
-from reports.records.record import TRACKED, MetricRecord, SceneRecord
 from reports.rows import Row, known_cost
 from reports.wording import cost, count, error, listing, seconds, spaced, times
 
@@ -94,10 +95,10 @@ def build(report: Report, scene: SceneRecord) -> Section | None:
 
 def cpu(row: Row) -> float:
     """Return the CPU seconds of a stage, including the stages before."""
-    return sum(stage.seconds.stage_cpu for stage in row.chain)
+    return sum(stage.seconds.cpu for stage in row.chain)
 
 
-def replay_error(row: Row) -> MetricRecord | None:
+def replay_error(row: Row) -> Metric | None:
     """Return the metric of the judged replay."""
     return row.stage.judged("replay_error")
 
@@ -107,7 +108,7 @@ def arrives(row: Row) -> bool:
     return all(metric.ok is True for metric in _terminal(row))
 
 
-def _terminal(row: Row) -> list[MetricRecord]:
+def _terminal(row: Row) -> list[Metric]:
     """Return the limited terminal errors of the judged replay, else of the plan's own grid."""
     limited = [
         metric

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from models.results.run import OWN_STEP
 from reports.foreign import answers, sentence
 from reports.pages.section import Report, Section
-from reports.records.record import OWN_STEP
 
 
 def build(report: Report) -> Section | None:

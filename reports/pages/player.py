@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from reports.records.record import ContactRecord, RunRecord, SceneRecord, ShapeRecord
+from models.results.run import ContactRecord, RunRecord, SceneRecord, ShapeRecord
 from reports.traces import Motion, Trace, at_all
 from reports.wording import number
 

@@ -11,11 +11,11 @@ from itertools import combinations, product
 from statistics import median
 from typing import NamedTuple
 
+from models.results.robustness import RobustnessRecord, Share, Survey
+from models.results.run import SceneRecord
 from reports.pages.pareto import keys, style_of
 from reports.pages.section import Report, Section
 from reports.plots import Axis, Plot, is_wide
-from reports.records.record import SceneRecord, ShareRecord, SurveyRecord
-from reports.records.robustness_record import RobustnessRecord
 from reports.render import render_sections
 from reports.rows import Row
 from reports.wording import cost, count, listing, number
@@ -47,8 +47,8 @@ class Survivor(NamedTuple):
 
     row: Row
     price: float
-    survey: SurveyRecord
-    alone: ShareRecord
+    survey: Survey
+    alone: Share
 
     @property
     def weakest(self) -> str:
@@ -113,7 +113,7 @@ def _tried(report: Report, scene: SceneRecord) -> list[Survivor]:
     return sorted(plans, key=lambda plan: plan.price)
 
 
-def _compared(pairs: Iterable[tuple[ShareRecord, ShareRecord]]) -> tuple[int, int, int]:
+def _compared(pairs: Iterable[tuple[Share, Share]]) -> tuple[int, int, int]:
     signs = Counter(
         (one.interval[0] > other.interval[1]) - (one.interval[1] < other.interval[0])
         for one, other in pairs

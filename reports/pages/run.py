@@ -8,20 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from models.results.run import RunRecord, SceneRecord, StageRecord
+from models.results.verdict import FEEDBACK, HOLD, TRACKED, Answer, Metric, Question
 from reports.judged import QuestionView, again, cause_of, deciding, end_of, questions_of
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
 from reports.pages.stage_plots import StagePlots, stage_plots
-from reports.records.record import (
-    FEEDBACK,
-    HOLD,
-    TRACKED,
-    MetricRecord,
-    QuestionRecord,
-    RunRecord,
-    SceneRecord,
-    StageRecord,
-)
 from reports.traces import Motion
 from reports.wording import capital, count, small, tail
 
@@ -42,8 +34,8 @@ class StageView(NamedTuple):
 class Decision(NamedTuple):
     """Why a run has its verdict: deciding question and metric, cause, advice and end."""
 
-    question: QuestionRecord | None
-    metric: MetricRecord | None
+    question: tuple[Question, Answer] | None
+    metric: Metric | None
     cause: str
     advice: str
     ends: str
@@ -55,7 +47,7 @@ class RunView(NamedTuple):
     run: RunRecord
     decision: Decision
     stages: list[StageView]
-    beside: list[tuple[MetricRecord, list[MetricRecord | None]]]
+    beside: list[tuple[Metric, list[Metric | None]]]
     film: Film | None
     log: str
     again: str
@@ -98,9 +90,8 @@ def decision_of(run: RunRecord) -> Decision:
     """Return what decided the verdict of a run, from its record."""
     last, cause = run.last, cause_of(run)
     metric = deciding(last) if last is not None else None
-    number = metric.question if metric is not None else None
     question = (
-        next((item for item in last.questions if item.number == number), None)
+        next((item for item in last.questions if item[0] is metric.question), None)
         if last is not None and metric is not None
         else None
     )
@@ -133,14 +124,14 @@ def _stage(scene: SceneRecord, stage: StageRecord, motion: Motion, *, last: bool
         questions_of(stage) if last else [],
     )
     idle = stage.kind == "given" or (
-        stage.is_empty and stage.seconds.stage == 0 and stage.iterations == 0
+        stage.is_empty and stage.seconds.wall == 0 and stage.iterations == 0
     )
     return StageView(stage, plots, questions, _ends(scene, stage), idle)
 
 
-def _beside(stages: Sequence[StageRecord]) -> list[tuple[MetricRecord, list[MetricRecord | None]]]:
+def _beside(stages: Sequence[StageRecord]) -> list[tuple[Metric, list[Metric | None]]]:
     """Return judged metrics of all stages by question, empty for a single stage."""
-    rows: dict[str, list[MetricRecord | None]] = {}
+    rows: dict[str, list[Metric | None]] = {}
     for metric in (metric for stage in stages for metric in stage.metrics if len(stages) > 1):
         if (
             metric.limit is not None
@@ -149,7 +140,7 @@ def _beside(stages: Sequence[StageRecord]) -> list[tuple[MetricRecord, list[Metr
         ):
             rows[metric.name] = [stage.judged(metric.name) for stage in stages]
     pairs = [(next(filter(None, reversed(same))), same) for same in rows.values() if any(same)]
-    return sorted(pairs, key=lambda row: row[0].question or 7)
+    return sorted(pairs, key=lambda row: row[0].question.number or 7)
 
 
 def _ends(scene: SceneRecord, stage: StageRecord) -> list[tuple[str, str]]:
@@ -170,7 +161,7 @@ class Listed(NamedTuple):
 
     run: RunRecord
     link: str
-    errors: list[MetricRecord | None]
+    errors: list[Metric | None]
     why: str
     anchor: str
     view: RunView | None

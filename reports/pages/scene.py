@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 from xml.etree import ElementTree
 
 from markupsafe import Markup, escape
 
+from models.results.run import RunRecord, SceneRecord
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
 from reports.pages.stage_plots import StagePlots, stage_plots
-from reports.records.record import RunRecord, SceneRecord
 from reports.traces import Motion
 from reports.wording import clean, cost, listing, number
 
@@ -25,14 +26,16 @@ def time_step(report: Report, scene: str) -> str:
     )
     if known is None:
         return ""
-    if known.warning:
-        return f"Past its stability limit: {known.warning}"
+    if not known.is_stable:
+        return f"Past its stability limit: {known.sentence}"
     closed = listing(list(known.contacts)) or "no contact"
     grows = (
         f", the motion itself grows at {number(known.growth, 3)}/s there" if known.growth else ""
     )
     limit = (
-        "at any step" if known.largest_step is None else f"below {number(known.largest_step, 3)} s"
+        "at any step"
+        if math.isinf(known.largest_step)
+        else f"below {number(known.largest_step, 3)} s"
     )
     largest = f"the largest spectral radius of its Jacobian is {number(known.radius, 6)}, with {closed} closed{grows}"
     return f"The time step of {number(known.step)} s is stable in contact: {largest}; it is stable {limit}."
@@ -115,7 +118,11 @@ def model(report: Report, scene: SceneRecord) -> Section:
     )
     # A size that differs between runs has its own row.
     sizes = list(
-        dict.fromkeys((stage.method, stage.size) for stage in stages if stage.size is not None)
+        dict.fromkeys(
+            (stage.method, stage.size, stage.paper_size)
+            for stage in stages
+            if stage.size is not None and stage.paper_size is not None
+        )
     )
     values = {
         "scene": scene,

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from reports.records.load import Stored
-from reports.records.record import RunRecord, SceneRecord, StageRecord
+from models.results.run import RunRecord, SceneRecord, StageRecord
+from reports.load import Stored
 from reports.rows import Row, rows_of
 from reports.traces import Motion, Trace, read_motion, read_plan
 

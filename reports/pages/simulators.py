@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from models.results.engines import TruthRecord, TruthRow
 from reports.pages.checks import plot_of
 from reports.pages.section import Section
-from reports.records.engines_record import TruthRecord, TruthRow
 from reports.render import render_sections
 
 

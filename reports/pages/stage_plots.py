@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from models.results.run import QuantityRecord, SceneRecord, StageRecord
 from reports.plots import Axis, Key, Plot, over_time
-from reports.records.record import QuantityRecord, SceneRecord, StageRecord
 from reports.traces import Motion, Trace, contact_phases
 from reports.wording import ROUNDING, clean, error, number, with_unit
 

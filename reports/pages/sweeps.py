@@ -12,10 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from models.results.run import QuantityRecord, RunRecord, SceneRecord
+from models.results.verdict import HOLD
 from reports.pages.section import Report, Section
 from reports.paper import TIGHTENING_FIGURES
 from reports.plots import Axis, Key, Line, Plot, is_wide, over_time
-from reports.records.record import HOLD, QuantityRecord, RunRecord, SceneRecord
 from reports.rows import Row
 from reports.traces import Trace
 from reports.wording import capital, count, error, listing, number, small, spaced, with_unit

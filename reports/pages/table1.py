@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from models.results.run import SceneRecord
 from reports.judged import distance_of
 from reports.pages.section import Report, Section
 from reports.paper import TABLE_1
-from reports.records.record import SceneRecord
 from reports.rows import Row, known_cost, lacking
 from reports.wording import cost, count, error, listing, number, percent, seconds, times, unit
 
@@ -241,7 +241,7 @@ def _bought(rows: list[Row]) -> list[str]:
 def _clock(both: list[Row]) -> list[str]:
     timed = [row for row in both if "time" in row.stage.paper]
     ours, theirs = (
-        sum(row.stage.seconds.stage for row in timed),
+        sum(row.stage.seconds.wall for row in timed),
         sum(row.stage.paper["time"] for row in timed),
     )
     if ours <= 0:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
+from models.results.run import SceneRecord, ViolationPoint
 from reports.pages.section import Report, Section
 from reports.paper import SCENE
 from reports.plots import Axis, Key, Plot
-from reports.records.record import SceneRecord, ViolationPoint
 from reports.wording import error, number, small
 
 _LAWS = {

@@ -1,12 +1,13 @@
 """Golden campaigns: the frozen rows are complete, and a comparison reports what got worse."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from benchmarks import golden
 from formulations.pipelines import FREE_MOTION, PIPELINES
-from reports.records.load import load
+from reports.load import load
 
 
 def row(**cells: str) -> golden.Row:
@@ -110,7 +111,7 @@ def test_equal_campaigns_differ_in_no_bit(tmp_path: Path, cli, monkeypatch: pyte
         assert done.returncode == 0, done.stderr
     assert golden._bits(tmp_path / "one") == golden._bits(tmp_path / "two")
     (run,) = load(tmp_path / "one").runs
-    changed = run.stages[0].model_copy(update={"iterations": 7})
+    changed = replace(run.stages[0], iterations=7)
     assert golden.bits(changed) != golden.bits(run.stages[0])
     monkeypatch.setattr(golden, "GOLDEN", tmp_path / "golden.csv")
     first = list(golden.rows(tmp_path / "one"))

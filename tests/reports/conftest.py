@@ -4,9 +4,12 @@ import importlib.util
 import os
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+
+from models.results.stored import to_json
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
@@ -58,7 +61,7 @@ def full_folder(factory, tmp_path_factory: pytest.TempPathFactory) -> Path:
     campaign = factory.campaign(records, keys=keys, quick=True, left_out=("the long pipelines",))
     folder = factory.store(tmp_path_factory.mktemp("full") / "all", records, campaign)
     (folder / "runs" / "cut-1").mkdir()
-    (folder / "runs" / "cut-1" / "record.json").write_text(records[0].model_dump_json()[:3000])
+    (folder / "runs" / "cut-1" / "record.json").write_text(to_json(records[0])[:3000])
     return folder
 
 
@@ -73,7 +76,7 @@ def hostile_folder(factory, tmp_path_factory: pytest.TempPathFactory) -> Path:
         left_out=(factory.HOSTILE,),
         quick=True,
     )
-    campaign = campaign.model_copy(update={"keys": (*campaign.keys, factory.HOSTILE)})
+    campaign = replace(campaign, keys=(*campaign.keys, factory.HOSTILE))
     folder = factory.store(tmp_path_factory.mktemp("hostile") / "all", records, campaign)
     return folder
 

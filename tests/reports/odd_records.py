@@ -3,7 +3,10 @@
 `factory` is the record factory beside this file.
 """
 
-from reports.records.record import EquationRecord, MetricRecord, RunRecord, ShapeRecord
+from dataclasses import replace
+
+from models.results.run import EquationRecord, RunRecord, ShapeRecord
+from models.results.verdict import Metric
 
 
 def crashed(factory) -> RunRecord:
@@ -47,48 +50,37 @@ def refused(factory) -> RunRecord:
 def hostile(factory) -> RunRecord:
     """Every string that a scene, a method or a log can bring, made of markup."""
     bad = factory.stage(0, "strict_lcp", None, None, 0.0)
-    bad = bad.model_copy(
-        update={
-            "method": factory.HOSTILE, "method_title": factory.HOSTILE, "outcome": factory.HOSTILE,
-            "advice": factory.HOSTILE,
-            "message": factory.HOSTILE, "why": factory.HOSTILE,
-            "options": {factory.HOSTILE: factory.HOSTILE}, "residuals": {factory.HOSTILE: 1.0},
-            "history": {factory.HOSTILE: (3.0, 2.0, 1.0)},
-            "metrics": (MetricRecord(name=factory.HOSTILE, value=None, unit=factory.HOSTILE,
-                                     meaning=factory.HOSTILE, reason=factory.HOSTILE),),
-            "paper": {},
-        },
-    )  # fmt: skip
-    where = factory.scene(factory.HOSTILE, factory.HOSTILE).model_copy(
-        update={
-            "source": factory.HOSTILE,
-            "contacts": (
-                factory.contact(
-                    factory.HOSTILE,
-                    factory.HOSTILE,
-                    factory.HOSTILE,
-                    (factory.HOSTILE, factory.HOSTILE),
-                ),
+    bad = replace(bad, method=factory.HOSTILE, method_title=factory.HOSTILE, outcome=factory.HOSTILE, advice=factory.HOSTILE, message=factory.HOSTILE, why=factory.HOSTILE, options={factory.HOSTILE: factory.HOSTILE}, residuals={factory.HOSTILE: 1.0}, history={factory.HOSTILE: (3.0, 2.0, 1.0)}, metrics=(Metric(name=factory.HOSTILE, value=None, unit=factory.HOSTILE,
+                                     meaning=factory.HOSTILE, reason=factory.HOSTILE),), paper={})  # fmt: skip
+    where = replace(
+        factory.scene(factory.HOSTILE, factory.HOSTILE),
+        source=factory.HOSTILE,
+        contacts=(
+            factory.contact(
+                factory.HOSTILE,
+                factory.HOSTILE,
+                factory.HOSTILE,
+                (factory.HOSTILE, factory.HOSTILE),
             ),
-            "equations": (
-                EquationRecord(
-                    caption=factory.HOSTILE, mathml=f"<math><mi>{factory.HOSTILE}</mi></math>"
-                ),
-                EquationRecord(
-                    caption="script", mathml="<math><script>document.title='owned'</script></math>"
-                ),
+        ),
+        equations=(
+            EquationRecord(
+                caption=factory.HOSTILE, mathml=f"<math><mi>{factory.HOSTILE}</mi></math>"
             ),
-            "absent": (factory.HOSTILE,),
-            "answers": (factory.quantity(factory.HOSTILE, factory.HOSTILE, factory.HOSTILE, 1.0),),
-            "shapes": (ShapeRecord(name=factory.HOSTILE, kind=factory.HOSTILE, size=(1.0,)),),
-        }
+            EquationRecord(
+                caption="script", mathml="<math><script>document.title='owned'</script></math>"
+            ),
+        ),
+        absent=(factory.HOSTILE,),
+        answers=(factory.quantity(factory.HOSTILE, factory.HOSTILE, factory.HOSTILE, 1.0),),
+        shapes=(ShapeRecord(name=factory.HOSTILE, kind=factory.HOSTILE, size=(1.0,)),),
     )
     origin = factory.provenance(
         commit=factory.HOSTILE, cpu=factory.HOSTILE, platform=factory.HOSTILE,
         command=factory.HOSTILE, packages={factory.HOSTILE: factory.HOSTILE},
     )  # fmt: skip
-    return factory.run(
+    return replace(factory.run(
         "strict", None, "strict_lcp", key="hostile-0", pipeline_title=factory.HOSTILE, scene=where,
         stages=(bad,), outcome=factory.HOSTILE,
         message=factory.HOSTILE, provenance=origin, log_tail=factory.HOSTILE,
-    ).model_copy(update={"pipeline": factory.HOSTILE})  # fmt: skip
+    ), pipeline=factory.HOSTILE)  # fmt: skip

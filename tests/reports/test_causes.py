@@ -1,10 +1,12 @@
 """Causes of runs that do not hold: those that are metrics, and runs grouped by them."""
 
+from dataclasses import replace
+
 import pytest
 from wording import unsaid
 
+from models.results.verdict import Metric, Question
 from reports.judged import by_cause, cause_of
-from reports.records.record import MetricRecord
 
 
 def ended(factory, verdict: str, *, name: str = "strict", outcome: str = "solved", **changes):
@@ -20,7 +22,7 @@ def ended(factory, verdict: str, *, name: str = "strict", outcome: str = "solved
         "why": "the reason.",
         **changes,
     }
-    return run.model_copy(update={"pipeline": name, "stages": (stage.model_copy(update=said),)})
+    return replace(run, pipeline=name, stages=(replace(stage, **said),))
 
 
 @pytest.mark.parametrize(
@@ -105,12 +107,12 @@ def test_advice_for_best_exact_does_not_name_it(factory, cause):
 
 
 def test_cause_of_inputs_that_claim_no_motion_is_the_goal(factory):
-    beyond = MetricRecord(
+    beyond = Metric(
         name="replay_terminal_velocity_error",
         value=0.3,
         unit="m/s",
         meaning="m",
-        question=4,
+        question=Question.MOTION,
         limit=0.1,
         ok=False,
     )

@@ -1,10 +1,12 @@
 """The three findings, against records made by hand."""
 
+from dataclasses import replace
+
 import pytest
 from wording import unsaid
 
+from models.results.run import FINAL_COST, EquationRecord
 from reports.findings import cost_ratio, least_costs, standings, three_findings
-from reports.records.record import FINAL_COST, EquationRecord
 
 
 def ended(
@@ -21,24 +23,17 @@ def ended(
         "strict", None, "strict_lcp", key=f"{scene}-{pipeline}", verdict=verdict, **changes
     )
     (stage,) = run.stages
-    spent = stage.seconds.model_copy(update={"stage_cpu": cpu})
-    stage = stage.model_copy(
-        update={"verdict": verdict, "cost": cost, "seconds": spent, "method": pipeline, "paper": {}}
-    )
-    return run.model_copy(
-        update={"scene": factory.scene(scene), "pipeline": pipeline, "stages": (stage,)}
-    )
+    spent = replace(stage.seconds, cpu=cpu)
+    stage = replace(stage, verdict=verdict, cost=cost, seconds=spent, method=pipeline, paper={})
+    return replace(run, scene=factory.scene(scene), pipeline=pipeline, stages=(stage,))
 
 
 def relaxed(factory, **verdicts: str):
     """A run of three relaxed stages and an exact one; first, second, third: their verdicts."""
     run = factory.run("relaxed+strict", "relaxed_lcp", "strict_lcp")
     said = [verdicts.get(name, "violates") for name in ("first", "second", "third")]
-    stages = [
-        stage.model_copy(update={"verdict": word})
-        for stage, word in zip(run.stages, said, strict=False)
-    ]
-    return run.model_copy(update={"stages": (*stages, run.stages[-1])})
+    stages = [replace(stage, verdict=word) for stage, word in zip(run.stages, said, strict=False)]
+    return replace(run, stages=(*stages, run.stages[-1]))
 
 
 def test_relaxed_plans_are_counted_and_their_misses_told_apart(factory):
@@ -149,9 +144,7 @@ def test_ratios_are_over_the_cheapest_plan_that_holds(factory):
     ("caption", "integral"), [("cost, summed over the steps", 4.9), (FINAL_COST, None)]
 )
 def test_an_integral_cost_is_a_cost_of_steps_alone(factory, caption, integral):
-    scene = factory.scene().model_copy(
-        update={"equations": (EquationRecord(caption=caption, mathml="<math/>"),)}
-    )
+    scene = replace(factory.scene(), equations=(EquationRecord(caption=caption, mathml="<math/>"),))
     for cost, known in ((490.0, integral), (None, None)):
-        run = ended(factory, "hill", "strict", "holds", cost).model_copy(update={"scene": scene})
+        run = replace(ended(factory, "hill", "strict", "holds", cost), scene=scene)
         assert run.integral_cost == (None if known is None else pytest.approx(known))

@@ -5,6 +5,7 @@ Every way to use it without a mouse.
 
 import csv
 import re
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -12,8 +13,8 @@ from urllib.parse import unquote, urlsplit
 import pytest
 from wording import unsaid
 
+from models.results.check import CheckRecord
 from reports.pages.section import run_pages
-from reports.records.check_record import CheckRecord
 from reports.render import PAGES, framed, write_report, write_single
 
 pytestmark = pytest.mark.slow
@@ -227,10 +228,9 @@ def test_names_of_small_bodies_do_not_overlap(chromium, factory, tmp_path):
     run = factory.run("strict", None, "strict_lcp")
     names = {shape.name: f"a long name of the {shape.name} cart" for shape in run.scene.shapes}
     shapes = tuple(
-        shape.model_copy(update={"name": names[shape.name], "size": (0.02, 0.02)})
-        for shape in run.scene.shapes
+        replace(shape, name=names[shape.name], size=(0.02, 0.02)) for shape in run.scene.shapes
     )
-    run = run.model_copy(update={"scene": run.scene.model_copy(update={"shapes": shapes})})
+    run = replace(run, scene=replace(run.scene, shapes=shapes))
     write_report(factory.store(tmp_path / "small", [run]))
     page = chromium.open(tmp_path / "small" / "pages" / run_pages([run])[run.key])
     pairs = page.evaluate("""(() => {
@@ -341,12 +341,7 @@ def many(factory, tmp_path_factory):
     """The folder of one pipeline's runs on sixteen scenes, and of stress cases whose sentences are long."""
     one = factory.run("strict", None, "strict_lcp")
     runs = [
-        one.model_copy(
-            update={
-                "key": f"strict-{place:016d}",
-                "scene": factory.scene(f"a_scene_of_number_{place}"),
-            }
-        )
+        replace(one, key=f"strict-{place:016d}", scene=factory.scene(f"a_scene_of_number_{place}"))
         for place in range(16)
     ]
     cases = [

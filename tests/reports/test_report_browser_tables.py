@@ -3,6 +3,7 @@
 import csv
 import io
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -69,13 +70,11 @@ def test_a_second_number_of_a_cell_has_a_column_too(chromium, factory, tmp_path)
     run = factory.run("strict", None, "strict_lcp")
     (stage,) = run.stages
     metrics = [
-        item.model_copy(update={"value": 1.25e-3})
-        if item.name == "replay_terminal_position_error"
-        else item
+        replace(item, value=1.25e-3) if item.name == "replay_terminal_position_error" else item
         for item in stage.metrics
     ]
-    stage = stage.model_copy(update={"metrics": tuple(metrics)})
-    folder = factory.store(tmp_path / "two", [run.model_copy(update={"stages": (stage,)})])
+    stage = replace(stage, metrics=tuple(metrics))
+    folder = factory.store(tmp_path / "two", [replace(run, stages=(stage,))])
     head, row, *_ = _saved(chromium.open(write_single(folder)))["three_cart-stages.csv"]
     place = head.index("Terminal error: position [m], below velocity [m/s] replay, velocity")
     assert head[place - 1] == "Terminal error: position [m], below velocity [m/s] replay"

@@ -1,6 +1,7 @@
 """How large pages are, on a campaign of 16 scenes by 19 pipelines made by hand."""
 
 import re
+from dataclasses import replace
 from hashlib import sha256
 
 import pytest
@@ -32,11 +33,8 @@ def folder(factory, tmp_path_factory):
             ]
             why = "driven by its inputs the motion departs from the plan by 0.794 rad, limit 0.2 rad: discretisation error 0.794 rad."
             drawn, options = scene == 0 and place < 4, {"variant": place // len(factory.PIPELINES)}
-            stages = [
-                stage.model_copy(update={"has_plan": drawn, "options": options})
-                for stage in run.stages
-            ]
-            stages[-1] = stages[-1].model_copy(update={"verdict": verdict, "why": why})
+            stages = [replace(stage, has_plan=drawn, options=options) for stage in run.stages]
+            stages[-1] = replace(stages[-1], verdict=verdict, why=why)
             changed = {
                 "key": sha256(f"{scene} {place}".encode()).hexdigest(),
                 "pipeline": f"{run.pipeline}_{place}", "scene": where, "verdict": verdict,
@@ -44,9 +42,7 @@ def folder(factory, tmp_path_factory):
             if verdict == "not applicable":
                 stages = []
             message = "strict_lcp: scene has no inputs, so there is nothing to plan."
-            runs.append(
-                run.model_copy(update={**changed, "message": message, "stages": tuple(stages)})
-            )
+            runs.append(replace(run, **{**changed, "message": message, "stages": tuple(stages)}))
     return factory.store(tmp_path_factory.mktemp("budget") / "all", runs)
 
 

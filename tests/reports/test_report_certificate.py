@@ -1,11 +1,12 @@
 """Certificates in the report."""
 
+from dataclasses import replace
 from html import unescape
 
 import pytest
 from wording import unsaid
 
-from reports.records.record import CertificateRecord
+from models.results.run import CertificateRecord
 from reports.render import write_single
 
 CERTIFICATE = CertificateRecord(
@@ -20,8 +21,8 @@ OBSTACLE = "the first side of 'contact[3]' has the multiplier -2"
 
 def _page(factory, tmp_path, certificate: CertificateRecord) -> str:
     run = factory.run("strict", None, "strict_lcp")
-    last = run.stages[-1].model_copy(update={"certificate": certificate})
-    records = [run.model_copy(update={"stages": (last,)})]
+    last = replace(run.stages[-1], certificate=certificate)
+    records = [replace(run, stages=(last,))]
     return write_single(factory.store(tmp_path / "all", records)).read_text(encoding="utf-8")
 
 
@@ -42,5 +43,5 @@ def test_page_plan_that_is_not_strong_names_the_obstacle(
     factory, tmp_path, b_stationary, words
 ) -> None:
     weak = {"strong": False, "obstacle": OBSTACLE, "b_stationary": b_stationary}
-    text = unescape(_page(factory, tmp_path, CERTIFICATE.model_copy(update=weak)))
+    text = unescape(_page(factory, tmp_path, replace(CERTIFICATE, **weak)))
     assert not unsaid(text, ">not S-stationary<", OBSTACLE, words)

@@ -6,8 +6,9 @@ from pathlib import Path
 
 from wording import unsaid
 
-from reports.records.check_record import CheckRecord, CheckRow, FmuRecord
-from reports.records.load import load
+from models.results.check import CheckRecord, FmuCheckRow, FmuRecord, Status
+from models.results.stored import from_data
+from reports.load import load
 from reports.render import PAGES, write_report
 from reports.rule import failures
 
@@ -23,11 +24,11 @@ def _fmu(
     factory, scene: str, version: str, statuses: tuple[str, ...], **changes: object
 ) -> CheckRecord:
     rows = tuple(
-        CheckRow(
+        FmuCheckRow(
             name=f"check {place}",
             type="ME",
             claim=f"claim <{place}>",
-            status=status,
+            status=Status(status),
             sentence=f"found {place}.",
             seconds=0.25,
         )
@@ -49,7 +50,7 @@ def _fmu(
         "found": "counts.", "fmu": fmu, "wall_seconds": 7.0, "cpu_seconds": 6.0,
         "provenance": factory.provenance(),
     }  # fmt: skip
-    return CheckRecord.model_validate(values | changes)
+    return from_data(CheckRecord, values | changes)
 
 
 def _campaign(factory, folder: Path, checks: list[CheckRecord]) -> Path:

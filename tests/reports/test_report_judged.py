@@ -2,10 +2,12 @@
 
 import html
 import re
+from dataclasses import replace
 
+from models.results.run import TrackedRecord
+from models.results.verdict import Metric, Question
 from reports.judged import end_of, questions_of
 from reports.pages.table1 import conclude
-from reports.records.record import MetricRecord, TrackedRecord
 from reports.render import write_single
 from reports.rows import rows_of
 
@@ -15,7 +17,7 @@ def test_a_cold_cost_of_nought_is_no_whole_to_take_a_part_of(factory):
         factory.run("strict", None, "strict_lcp"),
         factory.run("softplus_dc+strict", "softplus_dc", "strict_lcp"),
     )
-    nothing = cold.model_copy(update={"stages": (cold.stages[0].model_copy(update={"cost": 0.0}),)})
+    nothing = replace(cold, stages=(replace(cold.stages[0], cost=0.0),))
     text = " ".join(conclude(rows_of((nothing, warm), lambda run: "")))
     assert f"after softplus_dc cost {warm.stages[-1].cost:.2f}, 0.0032 m off the goal" in text
 
@@ -24,30 +26,28 @@ def followed(factory):
     """A stage that holds with feedback, not for its inputs alone."""
     (stage,) = factory.run("strict", None, "strict_lcp").stages
 
-    def metric(name: str, value: float, **changes) -> MetricRecord:
-        return MetricRecord(name=name, value=value, unit="m", meaning="m", **changes)
+    def metric(name: str, value: float, **changes) -> Metric:
+        return Metric(name=name, value=value, unit="m", meaning="m", **changes)
 
     both = (
-        metric("cost", 7.0, question=2, reason="no way is known to be cheap"),
-        metric("replay_error", 0.6, question=4, limit=0.01, ok=False),
-        metric("replay_terminal_position_error", 0.5, question=4, limit=0.06, ok=False),
-        metric("contact_law_error", 1.0,
-               question=3).model_copy(update={"value": None,
-                                              "reason": "the plan declares a scheme"}),
-        metric("tracked_replay_error", 0.004, question=4, limit=0.01, ok=True),
-        metric("tracked_replay_terminal_position_error", 0.002, question=4, limit=0.06, ok=True),
-        metric("feedback_effort", 0.1, question=4, limit=0.25, ok=True),
+        metric("cost", 7.0, question=Question.GOAL, reason="no way is known to be cheap"),
+        metric("replay_error", 0.6, question=Question.MOTION, limit=0.01, ok=False),
+        metric("replay_terminal_position_error", 0.5, question=Question.MOTION, limit=0.06, ok=False),
+        replace(metric("contact_law_error", 1.0,
+               question=Question.FORCES), value=None, reason="the plan declares a scheme"),
+        metric("tracked_replay_error", 0.004, question=Question.MOTION, limit=0.01, ok=True),
+        metric("tracked_replay_terminal_position_error", 0.002, question=Question.MOTION, limit=0.06, ok=True),
+        metric("feedback_effort", 0.1, question=Question.MOTION, limit=0.25, ok=True),
         metric("energy_residual_relative", 1e-9, limit=1e-6, ok=True),
         metric("physics", 0.0),
     )  # fmt: skip
-    replay = stage.replay.model_copy(update={"judged": "feedback"})
-    return stage.model_copy(
-        update={
-            "metrics": both,
-            "verdict": "holds with feedback",
-            "replay": replay,
-            "questions": factory.questions(),
-        }
+    replay = replace(stage.replay, judged="feedback")
+    return replace(
+        stage,
+        metrics=both,
+        verdict="holds with feedback",
+        replay=replay,
+        questions=factory.questions(),
     )
 
 
@@ -71,25 +71,22 @@ def test_the_end_of_a_stage_is_that_of_the_replay_that_is_judged(factory):
     assert stage.judged("replay_error").value == 0.004
     assert end_of(stage, scene) == "position 0.0020 m"
     assert end_of(stage, scene, tracked=False) == "position 0.50 m"
-    free = scene.model_copy(update={"goal": (None,) * len(scene.goal)})
-    bare = stage.model_copy(update={"metrics": ()})
+    free = replace(scene, goal=(None,) * len(scene.goal))
+    bare = replace(stage, metrics=())
     assert (end_of(bare, free), end_of(bare, scene)) == ("free end", "")
-    assert end_of(bare.model_copy(update={"replay": None}), free) == ""
+    assert end_of(replace(bare, replay=None), free) == ""
 
 
 def test_the_page_shows_questions_metrics_and_both_ends(factory, tmp_path):
     stage = followed(factory)
-    replay = stage.replay.model_copy(
-        update={"tracked": TrackedRecord(error_estimate=1e-9, rms=(0.1, 0.1), peak=(0.3, 0.3))}
+    replay = replace(
+        stage.replay, tracked=TrackedRecord(error_estimate=1e-9, rms=(0.1, 0.1), peak=(0.3, 0.3))
     )
-    stage = stage.model_copy(
-        update={
-            "replay": replay,
-            "not_asked": ("contact_law_error: the plan does not say its forces.",),
-        }
+    stage = replace(
+        stage, replay=replay, not_asked=("contact_law_error: the plan does not say its forces.",)
     )
-    scene = factory.scene().model_copy(
-        update={"waived": ("cost: no way is known to be cheap",), "unstable": "It falls over."}
+    scene = replace(
+        factory.scene(), waived=("cost: no way is known to be cheap",), unstable="It falls over."
     )
     run = factory.run(
         "strict", None, "strict_lcp", stages=(stage,), verdict="holds with feedback", scene=scene

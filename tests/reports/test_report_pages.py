@@ -1,13 +1,14 @@
 """What the sections compute: rows, fronts, sweeps, the command that runs a cell again, and the paper's numbers."""
 
 import shlex
+from dataclasses import replace
 
 import pytest
 
 from reports.judged import again
+from reports.load import load
 from reports.pages.section import Report
 from reports.paper import TABLE_1
-from reports.records.load import load
 from reports.rows import lacking
 from validate.campaign.selection import matches
 
@@ -21,10 +22,9 @@ def converged(factory):
     """The same methods and eps as softplus_gd+relu_gd, other options, no row of the paper."""
     run = factory.run("softplus_gd+relu_gd", "softplus_gd", "relu_gd", key="converged-0")
     stages = tuple(
-        stage.model_copy(update={"paper": {}, "options": {"iterations": "until converged"}})
-        for stage in run.stages
+        replace(stage, paper={}, options={"iterations": "until converged"}) for stage in run.stages
     )
-    return run.model_copy(update={"pipeline": "gd_converged", "stages": stages})
+    return replace(run, pipeline="gd_converged", stages=stages)
 
 
 def test_rows_follow_the_papers_order_and_share_stages(factory, tmp_path):
@@ -58,5 +58,5 @@ def test_the_command_runs_this_cell_again_and_no_other(factory, tmp_path, conver
         ]
         assert chosen == [run.pipeline]
         for name in ("in (one) leap", 'the "great" leap', '"', "it's"):
-            odd = run.model_copy(update={"pipeline": name})
+            odd = replace(run, pipeline=name)
             assert matches(shlex.split(again(odd))[-4], [], f"three_cart x {name}")

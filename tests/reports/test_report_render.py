@@ -6,15 +6,17 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 from wording import unsaid
 
+from models.results.run import StageRecord
+from models.results.stored import from_data, to_data
+from reports.load import ReportError
 from reports.pages.section import run_pages
-from reports.records.load import ReportError
-from reports.records.record import StageRecord
 from reports.render import write_report, write_single
 
 
@@ -134,9 +136,7 @@ def test_table_1_shows_ours_beside_the_paper(full):
 @pytest.mark.slow
 def test_rows_that_one_side_lacks_are_shown_as_such(factory, tmp_path):
     only = factory.run("softplus_dc+strict", "softplus_dc", "strict_lcp")
-    ours = factory.stage(0, "strict_lcp", None, None, 0.0, paper={}).model_copy(
-        update={"method": "mpcc"}
-    )
+    ours = replace(factory.stage(0, "strict_lcp", None, None, 0.0, paper={}), method="mpcc")
     other = factory.run("mpcc", None, "strict_lcp", key="mpcc-0", stages=(ours,))
     text, page = render(factory.store(tmp_path / "part", [only, other]))
     assert text.count("not in our records") == 17 - 4 + 1
@@ -188,8 +188,8 @@ _ODD_DATA = (
 
 @pytest.mark.slow
 def test_missing_and_odd_data_are_a_dash_and_never_an_exception(factory, tmp_path):
-    plain = factory.stage(0, "softplus_dc", 1e-3, None, 0.0).model_dump()
-    odd = [StageRecord.model_validate(plain | changes) for changes in _ODD_DATA]
+    plain = to_data(factory.stage(0, "softplus_dc", 1e-3, None, 0.0))
+    odd = [from_data(StageRecord, plain | changes) for changes in _ODD_DATA]
     runs = [
         factory.run(f"odd{place}", None, "strict_lcp", stages=(stage,), must_hold=False)
         for place, stage in enumerate(odd)
@@ -270,7 +270,7 @@ def test_pages_of_long_motions_stay_small(factory, tmp_path):
 def test_the_report_needs_no_solver(full_folder):
     program = (
         "import sys; from pathlib import Path; from reports.render import write_report; write_report(Path(sys.argv[1])); "
-        "print(sorted({'torch', 'pyomo', 'sympy', 'scipy', 'models', 'formulations', 'validate'} & set(sys.modules)))"
+        "print(sorted({'torch', 'pyomo', 'sympy', 'scipy', 'models.scene', 'formulations', 'validate'} & set(sys.modules)))"
     )
     done = subprocess.run(
         [sys.executable, "-c", program, str(full_folder)],

@@ -2,6 +2,7 @@
 
 import html
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -39,16 +40,17 @@ def ended(
         must_hold=direct,
         message="a reason.",
     )
-    place = run.scene.model_copy(update={"name": scene})
-    last = run.stages[-1].model_copy(
-        update={
+    place = replace(run.scene, name=scene)
+    last = replace(
+        run.stages[-1],
+        **{
             "outcome": outcome,
             "verdict": verdict,
             "why": "a limit",
             **({} if paper else {"paper": {}}),
-        }
+        },
     )
-    return run.model_copy(update={"scene": place, "stages": (*run.stages[:-1], last)})
+    return replace(run, scene=place, stages=(*run.stages[:-1], last))
 
 
 @pytest.mark.parametrize(
@@ -80,9 +82,7 @@ def test_a_scene_needs_a_cell_that_holds_once_a_direct_method_ran(factory):
 def test_feedback_is_enough_only_on_a_scene_that_says_that_it_is_unstable(factory):
     run = ended(factory, "solved", "holds with feedback")
     assert failures([run]) == ("bank x strict: holds with feedback - a limit",)
-    unstable = run.model_copy(
-        update={"scene": run.scene.model_copy(update={"unstable": "It falls over."})}
-    )
+    unstable = replace(run, scene=replace(run.scene, unstable="It falls over."))
     assert failures([unstable]) == ()
     good = ended(factory, "solved", "holds")
     stuck = ended(factory, "iteration_limit", "violates")

@@ -6,6 +6,7 @@ Columns of a record are the same after writing and reading, and finite numbers.
 import base64
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,15 +15,15 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from wording import unsaid
 
-from reports.records.check_record import StoredRecord
-from reports.records.record import LONGEST, TrackedRecord
+from models.results.run import LONGEST, TrackedRecord
+from models.results.stored import record_of, to_data, to_json
 from reports.traces import Motion, at_all, contact_phases, read_plan
 
 _FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
 def _record(factory, history: object) -> dict:
-    record = factory.runs()[0].model_dump(mode="json")
+    record = to_data(factory.runs()[0])
     record["stages"][0]["history"] = history
     return record
 
@@ -30,9 +31,9 @@ def _record(factory, history: object) -> dict:
 @pytest.mark.slow
 @given(numbers=st.lists(_FINITE))
 def test_columns_come_back_to_the_bit(factory, numbers):
-    listed = StoredRecord.model_validate(_record(factory, {"q": numbers})).root
+    listed = record_of(json.dumps(_record(factory, {"q": numbers})))
     assert list(listed.stages[0].history["q"]) == numbers
-    assert StoredRecord.model_validate_json(listed.model_dump_json()).root == listed
+    assert record_of(to_json(listed)) == listed
 
 
 def _text(*numbers: float) -> str:
@@ -57,11 +58,11 @@ def _text(*numbers: float) -> str:
 )
 def test_what_is_no_column_is_refused(factory, column):
     with pytest.raises(ValidationError):
-        StoredRecord.model_validate_json(json.dumps(_record(factory, {"q": column})))
+        record_of(json.dumps(_record(factory, {"q": column})))
 
 
 def test_large_numbers_whose_sum_overflows_are_numbers(factory):
-    record = StoredRecord.model_validate(_record(factory, {"q": _text(1.5e308, 1.5e308)})).root
+    record = record_of(json.dumps(_record(factory, {"q": _text(1.5e308, 1.5e308)})))
     assert list(record.stages[0].history["q"]) == [1.5e308, 1.5e308]
 
 
@@ -113,10 +114,7 @@ def test_long_motions_are_thinned_with_their_ends(factory, tmp_path):
 def test_a_stage_without_a_plan_has_no_motion_whatever_lies_there(factory, tmp_path):
     run = factory.run("strict", None, "strict_lcp")
     folder = factory.store(tmp_path / "all", [run])
-    assert (
-        factory.motion(folder, run, run.stages[0].model_copy(update={"has_plan": False}))
-        == Motion()
-    )
+    assert factory.motion(folder, run, replace(run.stages[0], has_plan=False)) == Motion()
 
 
 def of(factory, **trace):
@@ -160,8 +158,8 @@ def written(factory, folder, run, **files):
 def tracked_run(factory):
     run = factory.run("strict", None, "strict_lcp")
     (stage,) = run.stages
-    replay = stage.replay.model_copy(update={"tracked": TrackedRecord(error_estimate=1e-9)})
-    return run.model_copy(update={"stages": (stage.model_copy(update={"replay": replay}),)})
+    replay = replace(stage.replay, tracked=TrackedRecord(error_estimate=1e-9))
+    return replace(run, stages=(replace(stage, replay=replay),))
 
 
 def test_each_motion_is_read_from_its_own_file(factory, tmp_path):
@@ -183,18 +181,11 @@ def test_each_motion_is_read_from_its_own_file(factory, tmp_path):
     stage = run.stages[0]
     assert found.judged(stage) is found.replay
     assert (
-        found.judged(
-            stage.model_copy(
-                update={"replay": stage.replay.model_copy(update={"judged": "feedback"})}
-            )
-        )
+        found.judged(replace(stage, replay=replace(stage.replay, judged="feedback")))
         is found.tracked
     )
     assert read_plan(tmp_path / "runs" / run.key, run, stage).columns["q1"].tolist() == [1, 2, 3]
-    assert (
-        read_plan(tmp_path / "runs" / run.key, run, stage.model_copy(update={"has_plan": False}))
-        is None
-    )
+    assert read_plan(tmp_path / "runs" / run.key, run, replace(stage, has_plan=False)) is None
 
 
 def test_files_that_cannot_be_read_are_told_and_the_others_shown(factory, tmp_path):
@@ -231,8 +222,8 @@ def test_the_error_is_linear_between_the_plans_nodes(factory, tmp_path, knots, a
 
 def test_a_pose_is_a_constant_a_coordinate_or_a_column(factory, tmp_path):
     run = factory.run("strict", None, "strict_lcp")
-    shape = run.scene.shapes[0].model_copy(update={"place": ("q1", 0.5, None)})
-    run = run.model_copy(update={"scene": run.scene.model_copy(update={"shapes": (shape,)})})
+    shape = replace(run.scene.shapes[0], place=("q1", 0.5, None))
+    run = replace(run, scene=replace(run.scene, shapes=(shape,)))
     columns = {"t": [0.0, 1.0], "q1": [3.0, 4.0], "pose_angle_1": [7.0, 8.0]}
     found = written(factory, tmp_path, run, trajectory=columns).plan
     assert found.poses["left"].tolist() == [[3.0, 0.5, 7.0], [4.0, 0.5, 8.0]]

@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -118,9 +119,7 @@ def test_why_there_is_no_plan_is_told_once_a_stage(factory, tmp_path):
         verdict="no plan",
         **nothing,
     )
-    idle = late.model_copy(
-        update={"iterations": 0, "seconds": late.seconds.model_copy(update={"stage": 0.0})}
-    )
+    idle = replace(late, iterations=0, seconds=replace(late.seconds, wall=0.0))
     run = factory.run(
         "late",
         None,

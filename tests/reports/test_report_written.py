@@ -5,14 +5,15 @@ anything of them would change.
 import os
 import re
 import threading
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
 
 from reports import render as module
+from reports.load import ReportError, load
 from reports.pages.section import run_pages
-from reports.records.load import ReportError, load
 from reports.render import PAGES, write_report, write_single
 
 
@@ -23,7 +24,7 @@ def folder(factory, tmp_path: Path) -> Path:
     All of it was stored long ago.
     """
     chain, short = factory.runs()[2], factory.runs()[0]
-    other = short.model_copy(update={"key": "other", "pipeline": "other"})
+    other = replace(short, key="other", pipeline="other")
     stored = factory.store(tmp_path / "all", [chain, short, other])
     for path in stored.glob("runs/*/*"):
         os.utime(path, (1e9, 1e9))

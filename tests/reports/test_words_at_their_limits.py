@@ -1,12 +1,14 @@
 """Numbers in words at each limit and just beside it, causes and rules by each of their conditions, rows by every part of a chain."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
+from models.results.run import QuantityRecord, RunRecord
+from models.results.verdict import Question
 from reports import findings, judged, rows, rule, wording
 from reports.judged import _CAUSES, again, cause_of, deciding
-from reports.records.record import QuantityRecord, RunRecord
 from tests.reports import record_factory as factory
 from tests.reports.record_factory import judged as metric
 from tests.reports.record_factory import ran
@@ -101,34 +103,28 @@ def test_numbers_and_words_at_their_limits(said: str, words: str):
 @pytest.mark.parametrize("cause", _CAUSES)
 def test_each_cause_has_its_words(cause: str):
     run = ran("a", verdict="violates", cause=cause, why="off.")
-    found = cause_of(
-        run.model_copy(update={"stages": (run.last.model_copy(update={"kind": "indirect"}),)})
-    )
+    found = cause_of(replace(run, stages=(replace(run.last, kind="indirect"),)))
     assert (found.sentence, found.advice) == _CAUSES[cause]
 
 
 def test_which_metric_decides():
     early, late = (
-        metric("a", 2.0, limit=1.0, ok=False, question=2),
-        metric("b", 3.0, limit=1.0, ok=False, question=5),
+        metric("a", 2.0, limit=1.0, ok=False, question=Question.GOAL),
+        metric("b", 3.0, limit=1.0, ok=False, question=Question.POSSIBLE),
     )
     of_judge, tracked = (
         metric("c", 9.0, limit=1.0, ok=False),
-        metric("tracked_a", 9.0, limit=1.0, ok=False, question=1),
+        metric("tracked_a", 9.0, limit=1.0, ok=False, question=Question.TASK),
     )
     within, shown = (
-        metric("d", 0.5, limit=1.0, ok=True, question=1),
-        metric("e", 9.0, question=1, ok=False),
+        metric("d", 0.5, limit=1.0, ok=True, question=Question.TASK),
+        metric("e", 9.0, question=Question.TASK, ok=False),
     )
 
     def decided(verdict: str, *metrics, followed: bool = False) -> str | None:
         (stage,) = ran("a", *metrics, verdict=verdict).stages
-        stage = stage.model_copy(
-            update={
-                "replay": stage.replay.model_copy(
-                    update={"judged": "feedback" if followed else "open"}
-                )
-            }
+        stage = replace(
+            stage, replay=replace(stage.replay, judged="feedback" if followed else "open")
         )
         found = deciding(stage)
         return None if found is None else found.name
@@ -137,26 +133,30 @@ def test_which_metric_decides():
     assert decided("violates", of_judge, tracked, within) == "tracked_a"
     assert decided("violates", of_judge, within) == "c"
     open_, judge_open = (
-        metric("f", 1.0, limit=1.0, ok=None, question=4),
+        metric("f", 1.0, limit=1.0, ok=None, question=Question.MOTION),
         metric("g", 1.0, limit=1.0, ok=None),
     )
     assert decided("undecided", within, open_, judge_open) == "g", "first whether the judge is well"
     assert decided("undecided", within, open_) == "f"
     assert (
-        decided("undecided", within, metric("tracked_f", 1.0, limit=1.0, ok=None, question=4))
+        decided(
+            "undecided",
+            within,
+            metric("tracked_f", 1.0, limit=1.0, ok=None, question=Question.MOTION),
+        )
         is None
     )
     near, nearer = (
-        metric("h", -0.9, limit=1.0, ok=True, question=4),
-        metric("i", 1.9, limit=2.0, ok=True, question=3),
+        metric("h", -0.9, limit=1.0, ok=True, question=Question.MOTION),
+        metric("i", 1.9, limit=2.0, ok=True, question=Question.FORCES),
     )
     zero, unknown = (
-        metric("j", 5.0, limit=0.0, ok=True, question=3),
-        metric("k", None, limit=0.1, question=3),
+        metric("j", 5.0, limit=0.0, ok=True, question=Question.FORCES),
+        metric("k", None, limit=0.1, question=Question.FORCES),
     )
     judge, own = (
         metric("l", 0.99, limit=1.0, ok=True),
-        metric("tracked_h", 0.1, limit=1.0, ok=True, question=4),
+        metric("tracked_h", 0.1, limit=1.0, ok=True, question=Question.MOTION),
     )
     assert decided("holds", near, nearer, zero, unknown, judge, own) == "i"
     assert decided("holds", within, near) == "h", "by its size"
@@ -166,7 +166,7 @@ def test_which_metric_decides():
             near,
             nearer,
             own,
-            metric("feedback_effort", 0.2, limit=1.0, ok=True, question=4),
+            metric("feedback_effort", 0.2, limit=1.0, ok=True, question=Question.MOTION),
             followed=True,
         )
         == "feedback_effort"
@@ -184,12 +184,13 @@ def test_which_metric_decides():
     ],
 )  # fmt: skip
 def test_the_cause_of_a_run(verdict: str, outcome: str, said: tuple[str, str] | None):
-    run = ran(
-        "a", verdict=verdict, outcome=outcome, why="the reason. And more.", advice="Do this."
-    ).model_copy(update={"outcome": outcome})
+    run = replace(
+        ran("a", verdict=verdict, outcome=outcome, why="the reason. And more.", advice="Do this."),
+        outcome=outcome,
+    )
     found = cause_of(run)
     assert (found and (found.sentence, found.advice)) == said
-    other = cause_of(run.model_copy(update={"outcome": "crashed"}))
+    other = cause_of(replace(run, outcome="crashed"))
     if verdict == "no plan":
         assert (other.sentence, other.advice[:12]) == ("No plan: crashed", "Read the end")
     mute = cause_of(ran("a", verdict="violates", why=""))
@@ -243,57 +244,53 @@ def test_a_plan_that_fails_by_its_time_step_alone_is_a_finding(
     assert rule.failures([run])[:1] == (
         none if is_finding else (f"three_cart x a: {verdict} - it is off.",)
     )
-    unstable = run.model_copy(
-        update={"scene": run.scene.model_copy(update={"unstable": "It falls over."})}
-    )
+    unstable = replace(run, scene=replace(run.scene, unstable="It falls over."))
     assert not (verdict == "holds with feedback" and rule.findings([unstable])), (
         "there it is as it must be"
     )
     for other in ({"must_hold": False}, {"outcome": "stalled"}, {"stages": ()}):
-        assert rule.findings([run.model_copy(update=other)]) == ()
+        assert rule.findings([replace(run, **other)]) == ()
 
 
 def test_which_runs_fail_a_campaign():
     good, bad = ran("good"), ran("bad", verdict="violates", why="off.")
     hill = factory.scene("hill")
-    lost = ran(
-        "lost", verdict="no plan", outcome="infeasible", advice="Do this.", of=hill
-    ).model_copy(update={"outcome": "infeasible", "message": ""})
+    lost = replace(
+        ran("lost", verdict="no plan", outcome="infeasible", advice="Do this.", of=hill),
+        outcome="infeasible",
+        message="",
+    )
     assert rule.failed_keys([good, bad, lost]) == {"bad-key", "lost-key"}
     assert rule.failures([good, bad, lost]) == (
         "three_cart x bad: violates - off.",
         "hill: no run holds (lost infeasible, no plan)",
     )
-    assert rule.failed_keys([lost.model_copy(update={"must_hold": False})]) == frozenset()
-    assert rule.failed_keys([lost.model_copy(update={"outcome": "refused"})]) == frozenset()
-    none = ran("none", verdict="no plan", advice="Do this.").model_copy(update={"message": ""})
+    assert rule.failed_keys([replace(lost, must_hold=False)]) == frozenset()
+    assert rule.failed_keys([replace(lost, outcome="refused")]) == frozenset()
+    none = replace(ran("none", verdict="no plan", advice="Do this."), message="")
     assert rule.failures([none])[0] == "three_cart x none: no plan (solved) - Do this."
     assert (
-        rule.failures([none.model_copy(update={"message": "A word."})])[0]
+        rule.failures([replace(none, message="A word.")])[0]
         == "three_cart x none: no plan (solved) - A word."
     )
-    beside = ran(
-        "beside", verdict="violates", outcome="stalled", paper={"cost": 1.0}, why="off."
-    ).model_copy(update={"outcome": "stalled"})
-    assert rule.failures([good, beside]) == ("three_cart x beside: violates - off.",)
-    assert (
-        rule.failures(
-            [good, ran("soft", verdict="violates").model_copy(update={"must_hold": False})]
-        )
-        == ()
+    beside = replace(
+        ran("beside", verdict="violates", outcome="stalled", paper={"cost": 1.0}, why="off."),
+        outcome="stalled",
     )
+    assert rule.failures([good, beside]) == ("three_cart x beside: violates - off.",)
+    assert rule.failures([good, replace(ran("soft", verdict="violates"), must_hold=False)]) == ()
     for outcome in ("crashed", "failed"):
-        broke = bad.model_copy(update={"outcome": outcome, "message": "why", "must_hold": False})
+        broke = replace(bad, outcome=outcome, message="why", must_hold=False)
         assert rule.failures([good, broke]) == (f"three_cart x bad: {outcome} - why",)
         assert rule.fails(broke)
 
 
 def stage_of(method: str, eps: float | None = None, index: int = 0, **changes: object):
-    return ran(method, eps=eps, **changes).stages[0].model_copy(update={"index": index})
+    return replace(ran(method, eps=eps, **changes).stages[0], index=index)
 
 
 def path(name: str, *stages, **changes: object) -> RunRecord:
-    return ran(name).model_copy(update={"stages": tuple(stages), **changes})
+    return replace(ran(name), **{"stages": tuple(stages), **changes})
 
 
 def test_a_row_is_a_stage_with_what_it_starts_from():
@@ -346,7 +343,7 @@ def test_rows_of_one_name_are_told_apart_by_their_pipelines():
             (one, path("third", stage_of("soft", options={"a": 1}))), lambda run: ""
         )
     ] == ["soft"]
-    far = two.model_copy(update={"scene": factory.scene("hill")})
+    far = replace(two, scene=factory.scene("hill"))
     assert [row.label for row in rows.rows_of((one, far), lambda run: "")] == ["soft", "soft"]
     paper = path("paper", stage_of("soft", options={"a": 4}, paper={"cost": 1.0}))
     assert [row.twin for row in rows.rows_of((one, paper), lambda run: "")] == [True, False]
@@ -354,7 +351,7 @@ def test_rows_of_one_name_are_told_apart_by_their_pipelines():
 
 def test_known_costs_and_named_rows():
     def answered(*answers: QuantityRecord):
-        return factory.scene().model_copy(update={"answers": answers})
+        return replace(factory.scene(), answers=answers)
 
     one, cost, none = (
         QuantityRecord(name="period", unit="s", value=2.0),
@@ -386,17 +383,17 @@ def test_where_motions_end_in_words():
         "velocity 0.25 m/s",
         "",
     ]
-    free = factory.scene().model_copy(update={"goal": (None, 1.0)})
+    free = replace(factory.scene(), goal=(None, 1.0))
     (bare,) = ran("a").stages
     assert judged.end_of(bare, free) == ""
-    assert judged.end_of(bare, free.model_copy(update={"goal": (None, None)})) == "free end"
+    assert judged.end_of(bare, replace(free, goal=(None, None))) == "free end"
 
 
 def test_metrics_that_belong_to_no_question_are_shown_last():
     metrics = (
-        metric("a", 1.0, question=3, limit=2.0, ok=True), metric("b", 1.0),
+        metric("a", 1.0, question=Question.FORCES, limit=2.0, ok=True), metric("b", 1.0),
         metric("c", 1.0, limit=2.0, ok=True),
-        metric("d", None, question=3, reason="not asked."), metric("e", 1.0, question=2),
+        metric("d", None, question=Question.FORCES, reason="not asked."), metric("e", 1.0, question=Question.GOAL),
     )  # fmt: skip
     (stage,) = ran("a", *metrics, questions=factory.questions()).stages
     found = judged.questions_of(stage)
@@ -408,14 +405,16 @@ def test_metrics_that_belong_to_no_question_are_shown_last():
     assert [
         (view.text, [item.name for item in view.metrics]) for view in judged.questions_of(bare)
     ] == [("Shown, not judged", ["a", "b", "c", "d", "e"])]
-    reason = judged.MetricView("x", metric("x", 1.0, question=3, reason="why"), None)
+    reason = judged.MetricView("x", metric("x", 1.0, question=Question.FORCES, reason="why"), None)
     assert (reason.waived, reason.is_judged) == ("why", False)
     assert judged.MetricView(
-        "x", None, metric("x", 1.0, question=3, limit=1.0, reason="why")
+        "x", None, metric("x", 1.0, question=Question.FORCES, limit=1.0, reason="why")
     ).is_judged
     assert (
         judged.MetricView("x", metric("x", 1.0, reason="why"), None).waived
-        == judged.MetricView("x", metric("x", None, question=3, reason="why"), None).waived
+        == judged.MetricView(
+            "x", metric("x", None, question=Question.FORCES, reason="why"), None
+        ).waived
         == ""
     )
 
@@ -439,7 +438,7 @@ def test_metrics_that_belong_to_no_question_are_shown_last():
     ],
 )
 def test_the_command_that_repeats_one_run(command: str, repeated: str | None):
-    run = ran('a "b"').model_copy(update={"provenance": factory.provenance(command=command)})
+    run = replace(ran('a "b"'), provenance=factory.provenance(command=command))
     mine = '-k \'="three_cart x a ""b"""\' --fresh --out runs/again'
     assert again(run) == (command if repeated is None else f"{repeated} {mine}")
 
@@ -448,7 +447,7 @@ def test_costs_and_seconds_of_findings():
     run = path(
         "a", stage_of("soft", cpu=2.0, cost=9.0), stage_of("exact", None, 1, cpu=3.0, cost=7.0)
     )
-    assert (run.solving_cpu, run.cost, run.model_copy(update={"stages": ()}).cost) == (
+    assert (run.solving_cpu, run.cost, replace(run, stages=()).cost) == (
         5.0,
         7.0,
         None,
@@ -478,7 +477,7 @@ def test_a_run_is_judged_by_its_last_stage():
     )
     run = path("two", bad, good, verdict="violates")
     assert rule.failures([run])[0] == "three_cart x two: violates - last."
-    order = good.model_copy(update={"metrics": (metric("grid_order", 1.0),)})
+    order = replace(good, metrics=(metric("grid_order", 1.0),))
     assert rule.findings([path("two", bad, order, verdict="violates")]) == (
         "three_cart x two: last.",
     )

@@ -10,7 +10,6 @@ time limit below the current one.
 from __future__ import annotations
 
 import hashlib
-import math
 import shutil
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import closing
@@ -20,15 +19,16 @@ from pathlib import Path
 from typing import Protocol
 
 from models.codegen.compiler import find_compiler
+from models.results.check import CheckRecord, divided
+from models.results.run import CampaignRecord, RunRecord, TimeStepRecord
+from models.results.stored import to_json
 from models.scene import Scene
 from models.scene.text import scene_text
 from models.stability import step_stability
 from reports.findings import three_findings
+from reports.load import CAMPAIGN
 from reports.pages.section import PAGES, REPORT
 from reports.paper import SCENE
-from reports.records.check_record import CheckRecord, divided
-from reports.records.load import CAMPAIGN
-from reports.records.record import CampaignRecord, RunRecord, TimeStepRecord
 from reports.rule import fails, failures, findings
 from validate.campaign.engine import ExecutionContext, check_engine, open_engine
 from validate.campaign.growing_report import GrowingReport
@@ -198,7 +198,7 @@ class _Campaign:
         # campaign.json is written before the first task ends, so that a killed campaign can be
         # shown. If no task runs, the old file keeps the date and command of the results.
         if tasks or self._before is None or not same_campaign(self._campaign, self._before):
-            content = self._campaign.model_dump_json(indent=1)
+            content = to_json(self._campaign, 1)
             write_durably(self._settings.out / CAMPAIGN, content)
         self._announce()
         try:
@@ -232,9 +232,9 @@ class _Campaign:
             )
         scenes = scenes_of(self._entries)
         unstable = [
-            item.warning
+            item.sentence
             for item in self._campaign.time_steps
-            if item.warning and item.scene in scenes
+            if not item.is_stable and item.scene in scenes
         ]
         for sentence in (*self._settings.refused, *unstable, *warnings_of(scenes.values())):
             self._narrator.warns(sentence)
@@ -351,16 +351,5 @@ def time_steps(
         if (scene.name, digest) in known:
             found.append(known[scene.name, digest])
             continue
-        stability = step_stability(scene)
-        largest = stability.largest_step if math.isfinite(stability.largest_step) else None
-        found.append(
-            TimeStepRecord(
-                **{
-                    **asdict(stability),
-                    "largest_step": largest,
-                    "digest": digest,
-                    "warning": stability.sentence,
-                }
-            )
-        )
+        found.append(TimeStepRecord(**asdict(step_stability(scene)), digest=digest))
     return tuple(found)

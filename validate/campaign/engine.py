@@ -23,7 +23,7 @@ from types import MappingProxyType
 from typing import Any
 
 from models.errors import MachineError, TouchstoneError
-from reports.records.record import ProvenanceRecord
+from models.results.run import ProvenanceRecord
 from touchstone_annexes import load, present
 from validate.processes.disk import PARTIAL
 from validate.processes.process import Preloaded, interrupts_wait, usable_cores
@@ -130,7 +130,7 @@ MODULES = (
     "models.codegen.kernel",
     "models.fmu",
     "models.trajectory_netcdf",
-    "reports.records.check_record",
+    "models.results.stored",
     "formulations.certificate.plan",
     "formulations.ipopt",
     "formulations.transcription.homotopy",

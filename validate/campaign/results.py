@@ -16,18 +16,14 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from models.results.check import CheckRecord
+from models.results.robustness import Survey
+from models.results.run import OWN_STEP, RunRecord, StageRecord, ViolationPoint
 from reports.foreign import answers
-from reports.records.check_record import CheckRecord
-from reports.records.record import (
-    OWN_STEP,
-    RunRecord,
-    StageRecord,
-    SurveyRecord,
-    ViolationPoint,
-)
 from validate.judge.score import metric_names
 from validate.processes.disk import remove, write_durably
 
@@ -95,7 +91,7 @@ def rows(records: Iterable[RunRecord]) -> list[dict[str, Any]]:
 
 def _row(record: RunRecord, stage: StageRecord) -> dict[str, Any]:
     metrics = {metric.name: metric.value for metric in stage.metrics}
-    ran = stage.seconds.stage > 0
+    spent = stage.seconds if stage.seconds.wall > 0 else None
     return {
         "scene": record.scene.name,
         "pipeline": record.pipeline,
@@ -109,19 +105,20 @@ def _row(record: RunRecord, stage: StageRecord) -> dict[str, Any]:
             for name in (*_METRICS_FIRST, *_METRICS_LAST, *_METRICS_FEEDBACK, *_METRICS_MORE)
         },
         "verdict": stage.verdict,
-        "iterations": stage.iterations if ran else None,
-        "build_s": stage.seconds.build + stage.seconds.translate if ran else None,
-        **{
-            f"{name}_s": getattr(stage.seconds, name) if ran else None
-            for name in ("solve", "stage", "stage_cpu", "total", "replay")
-        },
+        "iterations": stage.iterations if spent else None,
+        "build_s": spent.build + spent.translate if spent else None,
+        "solve_s": spent.solve if spent else None,
+        "stage_s": spent.wall if spent else None,
+        "stage_cpu_s": spent.cpu if spent else None,
+        "total_s": spent.total if spent else None,
+        "replay_s": spent.replay if spent else None,
         "judged": stage.replay.judged if stage.replay is not None else None,
         "growth_rate": stage.replay.growth_rate if stage.replay is not None else None,
         **dict(zip(_SURVEY, _survey(stage.survey), strict=True)),
     }
 
 
-def _survey(found: SurveyRecord | None) -> tuple[Any, ...]:
+def _survey(found: Survey | None) -> tuple[Any, ...]:
     if found is None or found.alone is None:
         return (None,) * len(_SURVEY)
     return (
@@ -222,6 +219,6 @@ def _table(found: Sequence[dict[str, Any]]) -> str:
 
 def _violation_row(point: ViolationPoint) -> dict[str, Any]:
     return {
-        **point.model_dump(),
+        **asdict(point),
         "relative_difference": abs(point.measured - point.closed_form) / point.closed_form,
     }

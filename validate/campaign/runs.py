@@ -14,11 +14,12 @@ from pathlib import Path
 from formulations.method import Pipeline
 from formulations.pipelines import PIPELINES, method_names
 from models.catalog import load_scene, scene_names, scene_path
+from models.results.check import divided
+from models.results.run import RunRecord
+from models.results.verdict import HOLD
 from models.scene import Scene
+from reports.load import Stored
 from reports.paper import SCENE as PAPER_SCENE
-from reports.records.check_record import divided
-from reports.records.load import Stored
-from reports.records.record import HOLD, RunRecord
 from reports.rule import failed_keys
 from validate.campaign.selection import matches, near, words_of
 from validate.campaign.stored import CampaignError, campaign_of, identity

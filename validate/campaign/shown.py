@@ -24,9 +24,7 @@ from formulations.solution import Solution
 from models.errors import TrajectoryError
 from models.kinematics import gap_columns, pose_columns
 from models.netcdf import Column, write_columns
-from models.scene import Scene
-from models.trajectory import Trajectory, data_frame
-from reports.records.record import (
+from models.results.run import (
     LONGEST,
     ContactRecord,
     QuantityRecord,
@@ -35,6 +33,8 @@ from reports.records.record import (
     StageRecord,
     stage_files,
 )
+from models.scene import Scene
+from models.trajectory import Trajectory, data_frame
 from reports.render import framed, render_run
 from validate.judge.judgement import Judgement
 from validate.judge.replay.netcdf import storable, storable_name, write_drawn
@@ -286,8 +286,8 @@ def _run(scene: SceneRecord, stage: StageRecord, name: str, command: str) -> Run
         message=stage.message,
         verdict=stage.verdict,
         must_hold=stage.kind != "indirect",
-        wall_seconds=stage.seconds.stage + stage.seconds.replay,
-        cpu_seconds=stage.seconds.stage_cpu + stage.seconds.replay,
+        wall_seconds=stage.seconds.wall + stage.seconds.replay,
+        cpu_seconds=stage.seconds.cpu + stage.seconds.replay,
         provenance=gather(command),
     )
 

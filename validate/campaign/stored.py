@@ -8,14 +8,16 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from models.errors import TouchstoneError
-from reports.records.load import CAMPAIGN, other_version
-from reports.records.record import CampaignRecord
+from models.results.run import CampaignRecord
+from models.results.stored import from_json
+from reports.load import CAMPAIGN, other_version
 from validate.store.store import RECORD, Store
 
 # Fields that a campaign without runs leaves unchanged: the report shows the date of the results.
@@ -87,7 +89,7 @@ def campaign_of(folder: Path) -> CampaignRecord:
     """Return the campaign of a folder. Raises CampaignError."""
     path = folder / CAMPAIGN
     try:
-        return CampaignRecord.model_validate_json(path.read_bytes())
+        return from_json(CampaignRecord, path.read_bytes())
     except OSError as error:
         raise CampaignError(
             f"{folder}: there is no campaign in this folder ({CAMPAIGN} cannot be read); run one with --out {folder}."
@@ -130,4 +132,4 @@ def with_others(
 
 def same_campaign(one: CampaignRecord, other: CampaignRecord) -> bool:
     """Return whether two campaigns differ only in command, date and provenance."""
-    return one.model_copy(update={name: getattr(other, name) for name in _OF_THE_CALL}) == other
+    return replace(one, **{name: getattr(other, name) for name in _OF_THE_CALL}) == other

@@ -10,8 +10,8 @@ from typing import Any
 import click
 
 from models.errors import MachineError
+from models.results.run import RunRecord
 from reports.judged import Cause, by_cause, cause_of
-from reports.records.record import RunRecord
 from reports.rule import RESULTS, RULE, fails, failures
 from validate.campaign.campaign import CampaignResult, run_campaign
 from validate.campaign.results import check_rows, rows

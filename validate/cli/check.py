@@ -162,8 +162,8 @@ def _waivers(texts: tuple[str, ...]) -> dict[str, str]:
 
 def _page(checked: Sequence[Checked], arguments: tuple[str, ...]) -> str:
     """Return the page of these reports."""
+    from models.results.check import CheckRecord
     from reports.pages.checks import fmus_of
-    from reports.records.check_record import CheckRecord
     from reports.render import render_sections
     from validate.store.provenance import gather
     from validate.tasks.fmu_checks import found_by

@@ -11,10 +11,11 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+from models.results.check import CheckRecord
+from models.results.run import RunRecord
+from models.results.verdict import HOLD
 from reports.findings import NOT_ASKED
 from reports.judged import end_of
-from reports.records.check_record import CheckRecord
-from reports.records.record import HOLD, RunRecord
 from reports.rule import fails
 from validate.cli.table import in_words, one_line, say
 from validate.store.store import progress_in

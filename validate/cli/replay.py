@@ -18,7 +18,7 @@ from reports.judged import cause_of_stage
 from validate.cli.additions import additions
 from validate.cli.options import A_FILE, FiniteRange, options, scenes, write, written_to
 from validate.cli.table import say, warn, wide_option
-from validate.cli.verdict import as_stage, print_score, print_verdict
+from validate.cli.verdict import print_score, print_verdict
 from validate.processes.disk import make_folder, write_durably
 from validate.processes.isolated import Limits
 
@@ -316,7 +316,10 @@ def _page(
 
 
 def _print(judgement: Judgement) -> None:
-    result, replay, stage = judgement.score, judgement.replay, as_stage(judgement)
+    from validate.tasks.records import given_stage
+
+    result, replay = judgement.score, judgement.replay
+    stage = given_stage("", replay, result, 0.0)
     print_verdict(stage.verdict, result.why, stage, cause_of_stage(stage))
     print_score(stage)
     for text in result.waived:

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from models.errors import MachineError
-from reports.records.load import ReportError, Stored, load
+from reports.load import ReportError, Stored, load
 from reports.render import write_report, write_single
 from validate.campaign.results import check_rows, rows, write_tables
 from validate.campaign.stored import campaign_of

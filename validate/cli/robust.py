@@ -11,12 +11,13 @@ from typing import Any
 import click
 
 from models.catalog import load_scene
+from models.results.robustness import RobustnessRecord
+from models.results.run import RunRecord, stage_files
+from models.results.stored import to_json
 from models.scene import Scene
 from models.trajectory import Trajectory
 from models.trajectory_netcdf import read_netcdf
 from reports.pages.robustness import page_of_plan
-from reports.records.record import RunRecord, stage_files
-from reports.records.robustness_record import RobustnessRecord
 from validate.campaign.stored import CampaignError
 from validate.cli.group import INTERRUPTED
 from validate.cli.options import folder_of, scenes, write, written_to
@@ -121,13 +122,12 @@ def command(
         anyway=anyway,
         tell=lambda text: click.echo(f"{text} ..", err=True),
     )  # fmt: skip
-    record = RobustnessRecord.model_validate(found)
     write(csv_file, lambda: _worlds(found))
-    write(html_file, lambda: page_of_plan(record, name))
+    write(html_file, lambda: page_of_plan(found, name))
     if as_json:
-        click.echo(record.model_dump_json(indent=1))
+        click.echo(to_json(found, 1, RobustnessRecord))
     else:
-        _print(record)
+        _print(found)
     return 0 if found.complete else INTERRUPTED
 
 
@@ -186,7 +186,7 @@ def _worlds(found: Robustness) -> str:
             *(f"share of limit, {way.name}" for way in found.ways),
         ]
     )
-    for number in range(len(found.alone.tried)):
+    for number in range(len(found.ways[0].tried)):
         shares = (
             repr(float(way.tried[number])) if number < len(way.tried) else "" for way in found.ways
         )

@@ -8,9 +8,10 @@ from pathlib import Path
 import click
 
 from models.errors import did_you_mean
+from models.results.check import CheckRecord
+from models.results.run import RunRecord
+from models.results.stored import to_data
 from reports.judged import again, cause_of
-from reports.records.check_record import CheckRecord
-from reports.records.record import RunRecord
 from reports.rule import fails
 from validate.campaign.stored import CampaignError, campaign_of, stored_names
 from validate.cli.options import folder_of
@@ -43,7 +44,7 @@ def command(run: str, folder: Path, as_json: bool) -> int:
     """
     folder, record = find_run(run, folder)
     if as_json:
-        click.echo(json.dumps(record.model_dump(mode="json"), indent=1, allow_nan=False))
+        click.echo(json.dumps(to_data(record), indent=1, allow_nan=False))
     else:
         if isinstance(record, CheckRecord):
             _print_check(record)
@@ -124,7 +125,7 @@ def _print_stages(record: RunRecord) -> None:
     rows = []
     for stage in record.stages:
         found = [stage.outcome, short(stage.cost, ".4f"), str(stage.iterations), stage.verdict]
-        took = [short(stage.seconds.stage_cpu, ".2f"), short(stage.seconds.stage, ".2f")]
+        took = [short(stage.seconds.cpu, ".2f"), short(stage.seconds.wall, ".2f")]
         rows.append([str(stage.index + 1), stage.method, short(stage.eps, "g"), *found, *took])
     titles = [
         "stage",

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -18,10 +19,11 @@ import click
 import numpy as np
 
 from models.dynamics import derive
+from models.results.check import ChartRecord
+from models.results.engines import LevelRecord, TruthRecord, TruthRow
+from models.results.stored import to_json
 from models.scene import Scene
 from reports.pages.simulators import as_markdown, cell, truth_page
-from reports.records.check_record import ChartRecord
-from reports.records.engines_record import LevelRecord, TruthRecord, TruthRow
 from validate.campaign.results import table_text
 from validate.cli.options import write, written_to
 from validate.cli.table import print_table, say, wide_option
@@ -107,7 +109,7 @@ def command(
     if out is not None:
         write(out / "truth.html", lambda: truth_page(record, command_line(arguments)))
         write(out / "truth.csv", lambda: as_csv(record))
-        write(out / "truth.json", lambda: record.model_dump_json(indent=1))
+        write(out / "truth.json", lambda: to_json(record, 1))
     write(markdown, lambda: as_markdown(record, command_line(arguments)))
     shown = [[f"{of[0].phenomenon}: {of[0].problem}", *map(cell, of)] for of in record.problems]
     print_table(["problem", *asked], shown, tuple(asked))
@@ -257,7 +259,7 @@ def judged(problem: TruthProblem, engine: str, answer: EngineAnswer, end: np.nda
         )
     )
     order = None if about.adaptive else observed_order(errors)
-    return row.model_copy(update={"worst": worst[-1][1], "order": order, "levels": levels})
+    return replace(row, worst=worst[-1][1], order=order, levels=levels)
 
 
 def observed_order(errors: Sequence[float]) -> float | None:

@@ -6,52 +6,17 @@ print_score(stage)
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING
 
 import click
 
+from models.results.verdict import HOLD
 from reports.judged import Cause, MetricView, deciding, questions_of
-from reports.names import HOLD
 from validate.cli.table import print_table, say, short
 
 if TYPE_CHECKING:
-    from reports.records.record import MetricRecord, StageRecord
-    from validate.judge.judgement import Judgement
-
-
-def as_stage(judgement: Judgement) -> StageRecord:
-    """Return a judgement in the form of a stored stage.
-
-    The function avoids pydantic, whose import takes 0.4 s.
-    """
-    result, replay = judgement.score, judgement.replay
-    metrics = {
-        metric.name: replace(metric, question=cast(Any, metric.question.number))
-        for metric in result.metrics
-    }
-    questions = [
-        SimpleNamespace(number=question.number, text=question.value, answer=answer)
-        for question, answer in result.questions
-    ]
-    stage = SimpleNamespace(
-        method="",
-        kind="given",
-        outcome="given",
-        advice="",
-        verdict=result.verdict.value,
-        why=result.why,
-        cause=result.cause,
-        metrics=tuple(metrics.values()),
-        metric=metrics.get,
-        questions=questions,
-        not_asked=result.not_asked,
-        is_followed=replay is not None and replay.tracked is not None,
-        is_tracked=result.judged == "feedback",
-    )
-    return cast(Any, stage)
+    from models.results.run import StageRecord
+    from models.results.verdict import Metric
 
 
 def print_verdict(verdict: str, why: str, stage: StageRecord | None, cause: Cause | None) -> None:
@@ -79,8 +44,8 @@ def print_score(stage: StageRecord) -> None:
     if stage.questions:
         of = "the replay with feedback" if stage.is_tracked else "the inputs alone"
         rows = [
-            ["" if item.number is None else str(item.number), item.text, item.answer]
-            for item in stage.questions
+            ["" if question.number is None else str(question.number), question.value, answer]
+            for question, answer in stage.questions
         ]
         click.echo()
         print_table(["", f"question, of {of}", "answer"], rows, ("",))
@@ -118,14 +83,14 @@ def _metric_rows(
         short(None if metric is None else metric.value, ".5g")
         for metric in (view.alone, view.followed)[:columns]
     ]
-    unknown = judged.error is None or math.isinf(judged.error)
-    own = "unknown" if unknown else short(judged.error, ".1e") if judged.error else ""
+    error = short(judged.error, ".1e") if judged.has_known_error else "unknown"
+    own = error if judged.error else ""
     why = [judged.meaning, judged.reason] if known else [judged.reason, ""]
     cells = [own, judged.unit, "waived" if is_waived else limit, _against(judged)]
     return [[str(number) if asked else "", view.name, *values, *cells, *why]]
 
 
-def _against(metric: MetricRecord) -> str:
+def _against(metric: Metric) -> str:
     """Compare a metric with its limit, in a word."""
     if metric.limit is None:
         return ""

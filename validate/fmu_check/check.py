@@ -22,29 +22,20 @@ import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum, StrEnum
+from enum import Enum
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from fmpy.fmi1 import FMICallException
 
+from models.results.check import FmuCheckRow, Status
 from validate.fmi.instance import Fault, Lacking, Misbehaviour, RefusedCall, TerminationRequested
 from validate.fmi.surroundings import listed
 from validate.processes.process import exit_in_words
 
 # Versions of the standard whose sections the checks name.
 STANDARDS = ("2.0.4", "3.0.2")
-
-
-class Status(StrEnum):
-    """The outcome of a check, as the table shows it."""
-
-    PASSED = "passed"
-    FAILED = "failed"
-    NOT_OFFERED = "not offered"  # the FMU does not offer the feature, or it cannot be measured
-    ADVICE = "advice"  # allowed, and a trap for users
-    WAIVED = "waived"  # failed, and the user gave a reason why that is right
 
 
 class Scope(Enum):
@@ -155,29 +146,6 @@ def check(
 ) -> Callable[[Callable[..., Finding]], Check]:
     """Make a Check of a function."""
     return lambda run: Check(name=name, scope=scope, run=run, clauses=clauses, needs=needs)
-
-
-@dataclass(frozen=True, kw_only=True)
-class FmuCheckRow:
-    """A row of the table: a check, the type of FMI ("", "ME" or "CS") and the outcome."""
-
-    name: str
-    type: str
-    claim: str
-    status: Status
-    sentence: str
-    seconds: float
-    clause: str = ""
-
-    @property
-    def title(self) -> str:
-        """The name of the check, with the type of FMI."""
-        return f"{self.name} ({self.type})" if self.type else self.name
-
-    @property
-    def severity(self) -> str:
-        """`error` if the standard demands it, else `behaviour`; `advice` for advice."""
-        return "advice" if self.status is Status.ADVICE else "error" if self.clause else "behaviour"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,9 +22,9 @@ from typing import Any
 
 from models.codegen.compiler import find_compiler
 from models.errors import MachineError
+from models.results.run import ProvenanceRecord
 from models.scene import Scene
 from models.scene.text import scene_text
-from reports.records.record import ProvenanceRecord
 from validate.processes.process import ROOT, THREADS, usable_cores
 
 SEED = 0
@@ -45,6 +45,8 @@ _NO_INFLUENCE = (
     "validate/__main__.py",
     "validate/campaign/",
     "validate/judge/engines/",
+    "models/results/engines.py",
+    "models/results/stored.py",
 )
 # Sources that decide checks, but no run.
 _OF_CHECKS = (
@@ -54,12 +56,12 @@ _OF_CHECKS = (
     "validate/tasks/fmu_checks.py",
     "validate/fmu_check/",
     "validate/stress/",
-    "reports/records/check_record.py",
+    "models/results/check.py",
 )
 # Sources of surveys, which decide no run.
-_OF_SURVEYS = "validate/judge/robustness/"
-# Sources of reports that decide the content of a record.
-_RECORDS = ("records/record", "names", "records/check_record", "paper")
+_OF_SURVEYS = ("validate/judge/robustness/", "models/results/robustness.py")
+# The source of reports that decides the content of a record.
+_PAPER = "reports/paper.py"
 # A task depends on its own files of these folders only.
 _ONE_BY_ONE = ("models/scenes", "formulations/methods")
 
@@ -78,8 +80,7 @@ def _source_digests() -> dict[str, str]:
                 and not name.startswith(_NO_INFLUENCE)
             ):
                 digests[name] = hashlib.sha256(path.read_bytes()).hexdigest()
-    for name in (f"reports/{module}.py" for module in _RECORDS):
-        digests[name] = hashlib.sha256((ROOT / name).read_bytes()).hexdigest()
+    digests[_PAPER] = hashlib.sha256((ROOT / _PAPER).read_bytes()).hexdigest()
     return digests
 
 
@@ -88,7 +89,7 @@ def source_digests(methods: Iterable[str]) -> dict[str, str]:
     return {
         name: digest
         for name, digest in _digests_with(methods).items()
-        if not name.startswith((*_OF_CHECKS, _OF_SURVEYS))
+        if not name.startswith((*_OF_CHECKS, *_OF_SURVEYS))
     }
 
 

@@ -21,8 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from models.errors import TouchstoneError
-from reports.records.check_record import CheckRecord, record_of
-from reports.records.record import RunRecord
+from models.results.check import CheckRecord
+from models.results.run import RunRecord
+from models.results.stored import record_of
 from validate.processes.disk import (
     PARTIAL,
     aside_name,

@@ -17,8 +17,8 @@ from typing import Any
 
 from models.catalog import scene_path
 from models.errors import TouchstoneError
-from reports.records.check_record import AxisRecord, ChartRecord, SeriesRecord
-from reports.records.record import MetricRecord
+from models.results.check import AxisRecord, ChartRecord, SeriesRecord
+from models.results.verdict import Metric
 from validate.stress.catalog import StressCase, case_names, describe_case, heading, load_case
 from validate.tasks.check import Course, Found
 from validate.tasks.task import CheckTask, SceneReference
@@ -65,7 +65,7 @@ def check(arguments: Mapping[str, Any], course: Course) -> Found:
     return load_case(name)()
 
 
-def finding(happened: str, *figures: MetricRecord, charts: Sequence[ChartRecord] = ()) -> Found:
+def finding(happened: str, *figures: Metric, charts: Sequence[ChartRecord] = ()) -> Found:
     """Return a finding with figures and charts; it passes if every limit is met, and one exists."""
     judged = [figure.ok for figure in figures if figure.ok is not None]
     return Found(
@@ -75,24 +75,22 @@ def finding(happened: str, *figures: MetricRecord, charts: Sequence[ChartRecord]
 
 def at_most(
     name: str, value: float, limit: float, unit: str = "1", *, reason: str, meaning: str = ""
-) -> MetricRecord:
+) -> Metric:
     """Return a figure with an upper limit and its reason."""
     return _figure(name, value, unit, meaning, limit=limit, reason=reason)
 
 
-def at_least(
-    name: str, value: float, limit: float, unit: str = "1", *, reason: str
-) -> MetricRecord:
+def at_least(name: str, value: float, limit: float, unit: str = "1", *, reason: str) -> Metric:
     """Return a figure with a lower limit and its reason."""
     return _figure(name, value, unit, limit=limit, reason=reason, at_least=True)
 
 
-def unlimited(name: str, value: float, unit: str = "1") -> MetricRecord:
+def unlimited(name: str, value: float, unit: str = "1") -> Metric:
     """Return a figure without a limit."""
     return _figure(name, value, unit)
 
 
-def none_of(name: str, wrong: Sequence[str], *, reason: str) -> MetricRecord:
+def none_of(name: str, wrong: Sequence[str], *, reason: str) -> Metric:
     """Return the number of errors, which must be zero, with their texts as meaning."""
     return at_most(name, len(wrong), 0.0, meaning="; ".join(wrong)[:400], reason=reason)
 
@@ -106,7 +104,7 @@ def _figure(
     limit: float | None = None,
     reason: str = "",
     at_least: bool = False,
-) -> MetricRecord:
+) -> Metric:
     number = float(value) if math.isfinite(value) else None  # a value that is not finite is missing
     ok = (
         False
@@ -117,7 +115,7 @@ def _figure(
         if at_least
         else number <= limit
     )
-    return MetricRecord(
+    return Metric(
         name=name,
         value=number,
         unit=unit,

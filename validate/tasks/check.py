@@ -21,8 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from models.errors import MachineError, TouchstoneError
-from reports.records.check_record import CheckRecord
-from reports.records.record import MetricRecord, ProvenanceRecord
+from models.results.check import CheckRecord
+from models.results.run import ProvenanceRecord
+from models.results.verdict import Metric
 from validate.processes.disk import raise_if_disk_ended
 from validate.store.provenance import function_key
 from validate.store.store import log_in, progress
@@ -39,7 +40,11 @@ _WRITING_MOST = 5.0
 def check_key(task: CheckTask) -> str:
     """Return the key of a check, by its request, content and sources."""
     request = [task.kind, task.name, task.expected, task.function, dict(task.arguments)]
-    sources = ("validate/tasks/check.py", "reports/", *task.sources) if task.sources else ()
+    sources = (
+        ("validate/tasks/check.py", "models/results/", "reports/", *task.sources)
+        if task.sources
+        else ()
+    )
     return function_key(request, task.content, task.methods, sources)
 
 
@@ -49,7 +54,7 @@ class Found:
 
     passed: bool
     sentence: str
-    figures: tuple[MetricRecord, ...] = ()
+    figures: tuple[Metric, ...] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -11,6 +11,7 @@ import json
 from pathlib import Path
 
 from models.errors import MachineError
+from models.results.stored import from_data, to_json
 from validate.processes.disk import disk_error, disk_refuses, write_durably
 from validate.processes.isolated import limit_resources
 from validate.tasks.profile import Profile
@@ -29,7 +30,7 @@ def main(folder: Path) -> int:
 
     import numpy as np
 
-    from reports.records.record import ProvenanceRecord
+    from models.results.run import ProvenanceRecord
     from validate.store.provenance import SEED
     from validate.store.store import RECORD, REQUEST
     from validate.tasks.check import run_check
@@ -40,7 +41,7 @@ def main(folder: Path) -> int:
     np.random.seed(SEED)
     request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
     try:
-        provenance = ProvenanceRecord.model_validate(request["provenance"])
+        provenance = from_data(ProvenanceRecord, request["provenance"])
         task = task_from_json(request["task"])
         if isinstance(task, CheckTask):
             record = run_check(task, provenance, folder, profile.began)
@@ -51,7 +52,7 @@ def main(folder: Path) -> int:
                 if task.worlds
                 else run_path(task, provenance, folder, profile)
             )
-        write_durably(folder / RECORD, record.model_dump_json())
+        write_durably(folder / RECORD, to_json(record))
     except MachineError as error:
         return _machine(folder, error)
     except OSError as error:

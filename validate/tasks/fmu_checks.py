@@ -8,14 +8,13 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
+from models.results.check import FmuRecord
 from models.scene.text import scene_text
-from reports.records.check_record import CheckRow, FmuRecord
 from validate.tasks.check import Course, Found
 from validate.tasks.task import CheckTask, SceneReference
 
@@ -74,10 +73,6 @@ def check(arguments: Mapping[str, Any], course: Course) -> Found:
 def found_by(report: CheckReport, path: Path, export_seconds: float, check_seconds: float) -> Found:
     """Return the finding of a report, whose sentence names the failures."""
     data = path.read_bytes()
-    rows = tuple(
-        CheckRow(**{**asdict(row), "status": row.status.value, "severity": row.severity})
-        for row in report.rows
-    )
     failed = [
         f"{row.name}{f' ({row.type})' if row.type else ''}: {row.sentence}"
         for row in report.failures()
@@ -89,7 +84,7 @@ def found_by(report: CheckReport, path: Path, export_seconds: float, check_secon
         sha256=hashlib.sha256(data).hexdigest(),
         export_seconds=export_seconds,
         check_seconds=check_seconds,
-        rows=rows,
+        rows=report.rows,
     )
     missing = "there is no binary for this machine" if report.unrunnable else ""
     sentence = (

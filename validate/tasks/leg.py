@@ -18,17 +18,18 @@ import os
 import shutil
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 from formulations.method import Leg, Method, Options, Pipeline
 from formulations.pipelines import stage_plan
 from models.errors import TouchstoneError
+from models.results.run import LegRecord, StageRecord
+from models.results.stored import from_json, to_json
 from models.scene import Scene
 from models.trajectory import Trajectory
 from models.trajectory_netcdf import read_netcdf
-from reports.records.record import LegRecord, StageRecord
 from validate.processes.disk import fsync, fsync_whole, remove, renamed, write_durably
 from validate.store.provenance import content_key
 from validate.tasks.task import PlannedLeg
@@ -152,10 +153,8 @@ def _is_judged(records: Sequence[StageRecord]) -> bool:
 
 def write_leg(folder: Path, leg: LegRecord) -> LegRecord:
     """Write the record and file digests of a leg. Raises MachineError if the disk refuses."""
-    leg = leg.model_copy(
-        update={"files": {path.name: _digest(path) for path in sorted(folder.glob("*.nc"))}}
-    )
-    content = leg.model_dump_json().encode()
+    leg = replace(leg, files={path.name: _digest(path) for path in sorted(folder.glob("*.nc"))})
+    content = to_json(leg).encode()
     write_durably(folder / CONTENT, gzip.compress(content, _LEVEL, mtime=0))
     return leg
 
@@ -166,7 +165,7 @@ def read_leg(folder: Path, *keys: str) -> LegRecord:
         content = gzip.decompress((folder / CONTENT).read_bytes())
     except (EOFError, zlib.error) as error:
         raise ValueError("it is cut or damaged") from error
-    leg = LegRecord.model_validate_json(content)
+    leg = from_json(LegRecord, content)
     if leg.key not in keys:
         raise ValueError("its key differs from its folder's")
     if any(_digest(folder / Path(name).name) != digest for name, digest in leg.files.items()):
@@ -290,7 +289,7 @@ def store_as(folder: Path, leg: LegRecord, key: str, stored: Path) -> None:
     aside = folder.with_name(f"storing-{key}")
     link(folder, aside)
     remove(aside / CONTENT)
-    store(aside, write_leg(aside, leg.model_copy(update={"key": key})), stored)
+    store(aside, write_leg(aside, replace(leg, key=key)), stored)
     shutil.rmtree(aside, ignore_errors=True)
 
 

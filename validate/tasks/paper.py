@@ -20,9 +20,9 @@ from formulations.pipelines import PAPER, PIPELINES, stage_plan
 from models.codegen.kernel import Kernel, load_kernel
 from models.contact_law import ContactLaw, sharpness, worst_case_violation
 from models.dynamics import derive
+from models.results.run import ViolationPoint
 from models.scene import Scene
 from reports.paper import SCENE, TABLE_1, PaperRow
-from reports.records.record import ViolationPoint
 
 
 def table_rows(pipeline: str) -> tuple[PaperRow, ...]:

@@ -18,15 +18,18 @@ import traceback
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from formulations.solution import Outcome
 from models.catalog import load_scene
 from models.errors import MachineError, TouchstoneError
+from models.results.robustness import Survey
+from models.results.run import LegRecord, RunRecord, stage_files
+from models.results.stored import from_json, to_json
+from models.results.verdict import HOLD
 from models.trajectory_netcdf import read_netcdf
-from reports.records.record import HOLD, LegRecord, RunRecord, SurveyRecord, stage_files
 from validate.processes.disk import raise_if_disk_ended, write_durably
 from validate.store.provenance import content_key, survey_sources
 from validate.store.store import Store, log_in, progress
@@ -42,9 +45,9 @@ from validate.tasks.task import varied
 if TYPE_CHECKING:
     from formulations.method import Leg
     from formulations.solution import Solution
+    from models.results.run import ProvenanceRecord, StageRecord
     from models.scene import Scene
     from models.trajectory import Trajectory
-    from reports.records.record import ProvenanceRecord, StageRecord
     from validate.tasks.task import ChildExit, PlannedLeg, RunTask
 
 # Share of a run's time limit reserved for certificates and replays.
@@ -126,7 +129,7 @@ def unfinished_run(
     found, is_late = legs.legs_in(folder, task.legs), child.outcome == "time_limit"
     why = f"The certificate is missing{' because time ran out: the run' if is_late else ':'} {child.message}"
     stages = [
-        stage.model_copy(update={"message": f"{stage.message} {why}".strip()})
+        replace(stage, message=f"{stage.message} {why}".strip())
         if stage.certificate_missing
         else stage
         for stage in _stages_in(folder, task, found, len(plan))
@@ -205,13 +208,12 @@ def amended(
     """Return a run's record with new stages; wall, cpu, profile [s]: time to add."""
     seconds = Counter(run.profile)
     seconds.update(profile)
-    return run.model_copy(
-        update={
-            "stages": stages,
-            "wall_seconds": run.wall_seconds + wall,
-            "cpu_seconds": run.cpu_seconds + cpu,
-            "profile": dict(seconds),
-        }
+    return replace(
+        run,
+        stages=stages,
+        wall_seconds=run.wall_seconds + wall,
+        cpu_seconds=run.cpu_seconds + cpu,
+        profile=dict(seconds),
     )
 
 
@@ -219,9 +221,7 @@ def unfinished_survey(task: RunTask, run: RunRecord, child: ChildExit) -> RunRec
     """Return the record of a run with failed surveys; without a digest, so they are repeated."""
     message = f"not tried in perturbed worlds: {child.message}"
     stages = tuple(
-        stage.model_copy(update={"survey": SurveyRecord(message=message)})
-        if stage.index in task.worlds
-        else stage
+        replace(stage, survey=Survey(message=message)) if stage.index in task.worlds else stage
         for stage in run.stages
     )
     return amended(run, stages, child.wall, child.cpu, {})
@@ -247,24 +247,21 @@ def _surveyed(
     request = [survey_sources(), numbers.hexdigest(), plan.hold.value, limits, followed]
     stored = store.surveys / f"{content_key(scene, request, (), plugin_source(task.plugin))}.json"
     with contextlib.suppress(OSError, ValueError):  # not stored, or damaged
-        return stage.model_copy(
-            update={"survey": SurveyRecord.model_validate_json(stored.read_bytes())}
-        )
+        return replace(stage, survey=from_json(Survey, stored.read_bytes()))
     progress(folder, f"stage {stage.index + 1} ({stage.method}) in perturbed worlds")
     try:
         answer = load_plugin(task.plugin).survey(scene, plan, limits, followed)
-        survey = SurveyRecord.model_validate(answer, from_attributes=True)
-        survey = survey.model_copy(update={"sources": survey_sources()})
+        survey = replace(answer, sources=survey_sources())
         stored.parent.mkdir(exist_ok=True)
-        write_durably(stored, survey.model_dump_json())
+        write_durably(stored, to_json(survey))
     except MachineError:
         raise
     except Exception as error:  # noqa: BLE001 - a failed survey must not lose the plan; the log has the traceback
         raise_if_disk_ended(folder, error)
         if not isinstance(error, TouchstoneError):
             traceback.print_exc()
-        survey = SurveyRecord(message=in_words(error), sources=survey_sources())
-    return stage.model_copy(update={"survey": survey})
+        survey = Survey(message=in_words(error), sources=survey_sources())
+    return replace(stage, survey=survey)
 
 
 def refused(scene: Scene, plan: Sequence[Planned]) -> list[Unfinished]:

@@ -62,7 +62,7 @@ def _checks(scenes: Sequence[SceneReference]) -> list[CheckTask]:
 
 
 def _write_report(folder: Path) -> Path:
-    from reports.records.load import ReportError
+    from reports.load import ReportError
     from reports.render import REPORT, is_current, write_report
 
     try:

@@ -4,64 +4,52 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel
-
-from formulations.solution import ModelSize, Outcome, Seconds, Solution
-from reports.records.record import (
+from formulations.solution import Outcome, Solution
+from models.results.run import (
     LONGEST_HISTORY,
     CertificateRecord,
-    MetricRecord,
-    QuestionRecord,
     ReplayRecord,
     RunRecord,
     SceneRecord,
-    SecondsRecord,
-    SizeRecord,
+    Seconds,
     StageRecord,
     TrackedRecord,
-    Verdict,
     thin,
 )
+from models.results.verdict import Verdict
 from validate.tasks.paper import paper_row
 
 if TYPE_CHECKING:
     from formulations.certificate.certificate import Certificate
+    from models.results.run import LegRecord, ProvenanceRecord
     from models.trajectory import Trajectory
-    from reports.records.record import LegRecord, ProvenanceRecord
     from validate.judge.replay import Difference, Replay
     from validate.judge.score import Score
-    from validate.judge.score.verdict import Metric
     from validate.tasks.leg import Planned
     from validate.tasks.task import RunTask
 
-_Record = TypeVar("_Record", bound=BaseModel)
-
 
 def certificate_record(certificate: Certificate | None) -> CertificateRecord | None:
-    """Return the record of a certificate, if there is one."""
+    """Return the summary of a certificate, if there is one: its own answers, not its tolerances."""
     if certificate is None:
         return None
-    return _copied(CertificateRecord, certificate)
-
-
-def _copied(record: type[_Record], source: object, **own: Any) -> _Record:
-    """Return a record with the source's equal-named fields, and `own`."""
-    names = [name for name in record.model_fields if name not in own and hasattr(source, name)]
-    return record(**{name: _plain_number(getattr(source, name)) for name in names}, **own)
-
-
-def _plain_number(value: Any) -> Any:
-    return finite(value) if isinstance(value, float) else value
+    found: dict[str, Any] = {
+        item.name: getattr(certificate, item.name) for item in fields(CertificateRecord)
+    }
+    numbers: dict[str, Any] = {
+        name: finite(found[name]) for name in ("primal", "complementarity", "dual")
+    }
+    return CertificateRecord(**(found | numbers))
 
 
 def with_certificate(record: StageRecord, solution: Solution) -> StageRecord:
     """Return the record with the certificate of its plan."""
     certificate = certificate_record(solution.certificate)
-    return record.model_copy(update={"certificate": certificate, "certificate_missing": False})
+    return replace(record, certificate=certificate, certificate_missing=False)
 
 
 # Last lines of the log that a record keeps.
@@ -104,18 +92,14 @@ def stage_record(
             for name, value in solution.residuals.items()
             if finite(value) is not None
         },
-        size=_size(solution),
+        size=solution.size,
+        paper_size=solution.paper_size,
         solver=solution.solver,
         options=_options(solution.options or asdict(planned.options)),
         history=_history(solution.history),
         certificate=certificate_record(solution.certificate),
-        seconds=_copied(
-            SecondsRecord,
-            solution.seconds,
-            stage=wall,
-            stage_cpu=cpu,
-            total=before + wall,
-            replay=judged.seconds,
+        seconds=replace(
+            solution.seconds, wall=wall, cpu=cpu, total=before + wall, replay=judged.seconds
         ),
         verdict=verdict,
         why=why,
@@ -137,7 +121,6 @@ def _asked(planned: Planned, outcome: Outcome) -> dict[str, Any]:
 
 def solution_of(record: StageRecord, plan: Trajectory | None) -> Solution:
     """Return the Solution of a stage's record; plan: its trajectory."""
-    seconds, size = record.seconds, record.size
     return Solution(
         method=record.method,
         outcome=Outcome[record.outcome.upper()],
@@ -145,22 +128,13 @@ def solution_of(record: StageRecord, plan: Trajectory | None) -> Solution:
         trajectory=plan,
         cost=record.cost,
         iterations=record.iterations,
-        seconds=Seconds(
-            build=seconds.build,
-            translate=seconds.translate,
-            evaluate=seconds.evaluate,
-            linear_algebra=seconds.linear_algebra,
-            wall=seconds.stage,
-            cpu=seconds.stage_cpu,
-        ),
+        seconds=record.seconds,
         residuals=record.residuals,
         solver=record.solver,
         options=record.options,
         history=record.history,
-        size=None if size is None else ModelSize(unknowns=size.unknowns, equations=size.equations),
-        paper_size=None
-        if size is None
-        else ModelSize(unknowns=size.paper_unknowns, equations=size.paper_equations),
+        size=record.size,
+        paper_size=record.paper_size,
     )
 
 
@@ -170,15 +144,12 @@ def stages_of(legs: Sequence[LegRecord], scene: str, pipeline: str) -> list[Stag
     for leg in legs:
         before = stages[-1].seconds.total if stages else 0.0
         stages += [
-            record.model_copy(
-                update={
-                    "index": index,
-                    "seconds": record.seconds.model_copy(
-                        update={"total": before + record.seconds.total}
-                    ),
-                    "paper": dict(paper_row(scene, pipeline, index)),
-                    "shared_from": "" if leg.pipeline == pipeline else leg.pipeline,
-                }
+            replace(
+                record,
+                index=index,
+                seconds=replace(record.seconds, total=before + record.seconds.total),
+                paper=dict(paper_row(scene, pipeline, index)),
+                shared_from="" if leg.pipeline == pipeline else leg.pipeline,
             )
             for index, record in enumerate(leg.stages, len(stages))
         ]
@@ -194,7 +165,7 @@ def unfinished_stage(
         index=planned.index,
         message=message,
         options=_options(asdict(planned.options)),
-        verdict="not applicable" if outcome is Outcome.REFUSED else "no plan",
+        verdict=_without_plan(outcome),
         why=message,
         paper=dict(paper_row(scene, pipeline, planned.index)),
     )
@@ -214,8 +185,8 @@ def given_stage(
         advice="",
         message=message,
         cost=score.value("cost"),
-        seconds=SecondsRecord(replay=seconds),
-        verdict=score.verdict.value,
+        seconds=Seconds(replay=seconds),
+        verdict=score.verdict,
         why=score.why,
         has_plan=replay is not None,
         **_of_score(Judged(replay=replay, score=score)),
@@ -267,25 +238,14 @@ def finite(value: float | None) -> float | None:
 
 def _verdict(solution: Solution, judged: Judged) -> tuple[Verdict, str]:
     if solution.trajectory is None:
-        return (
-            "not applicable" if solution.outcome is Outcome.REFUSED else "no plan",
-            solution.message or solution.outcome.value,
-        )
+        return _without_plan(solution.outcome), solution.message or solution.outcome.value
     if judged.score is None:
-        return "undecided", judged.problem
-    return judged.score.verdict.value, judged.score.why
+        return Verdict.UNDECIDED, judged.problem
+    return judged.score.verdict, judged.score.why
 
 
-def _size(solution: Solution) -> SizeRecord | None:
-    size, paper = solution.size, solution.paper_size
-    if size is None or paper is None:
-        return None
-    return SizeRecord(
-        unknowns=size.unknowns,
-        equations=size.equations,
-        paper_unknowns=paper.unknowns,
-        paper_equations=paper.equations,
-    )
+def _without_plan(outcome: Outcome) -> Verdict:
+    return Verdict.NOT_APPLICABLE if outcome is Outcome.REFUSED else Verdict.NO_PLAN
 
 
 def _replay(replay: Replay, score: Score | None) -> ReplayRecord:
@@ -318,26 +278,14 @@ def _position(difference: Difference | None) -> float | None:
     return None if difference is None else finite(difference.position)
 
 
-def _metric(metric: Metric) -> MetricRecord:
-    numbers = {
-        "value": finite(metric.value),
-        "error": finite(metric.error),
-        "limit": finite(metric.limit),
-    }
-    return MetricRecord(**{**asdict(metric), **numbers, "question": metric.question.number})
-
-
 def _of_score(judged: Judged) -> dict[str, Any]:
     fields: dict[str, Any] = (
         {} if judged.replay is None else {"replay": _replay(judged.replay, judged.score)}
     )
     if judged.score is not None:
         fields |= {
-            "metrics": tuple(map(_metric, judged.score.metrics)),
-            "questions": tuple(
-                QuestionRecord(number=question.number, text=question.value, answer=answer)
-                for question, answer in judged.score.questions
-            ),
+            "metrics": judged.score.metrics,
+            "questions": judged.score.questions,
             "not_asked": judged.score.not_asked,
             "cause": judged.score.cause,
         }

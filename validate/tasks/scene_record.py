@@ -16,9 +16,7 @@ from models.codegen.emit import step_operations
 from models.codegen.text_cache import cached_text
 from models.dynamics import Dynamics, derive
 from models.kinematics import goal_poses, shape_places
-from models.scene import Coordinate, Input, Parameter, Scene
-from models.scene.contacts import Contact, DampingLaw
-from reports.records.record import (
+from models.results.run import (
     FINAL_COST,
     ContactRecord,
     EquationRecord,
@@ -26,6 +24,8 @@ from reports.records.record import (
     SceneRecord,
     ShapeRecord,
 )
+from models.scene import Coordinate, Input, Parameter, Scene
+from models.scene.contacts import Contact, DampingLaw
 
 _ENTITY = re.compile(r"&([A-Za-z]+);")
 # XML's own names; SymPy's other entities are HTML's, which strict parsers refuse.

@@ -13,15 +13,15 @@ import math
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from formulations.method import Kind, Leg, StoredStages
 from formulations.solution import Outcome, Seconds, Solution, as_asked
 from models.errors import MachineError, TouchstoneError, TrajectoryError
+from models.results.run import LONGEST, OWN_STEP
 from models.trajectory_netcdf import write_netcdf
-from reports.records.record import LONGEST, OWN_STEP
 from validate.judge.time_step import load_step, step_defect
 from validate.processes.disk import raise_if_disk_ended
 from validate.store.store import progress
@@ -30,9 +30,9 @@ from validate.tasks.profile import Profile
 from validate.tasks.records import Judged, finite, stage_record, with_certificate
 
 if TYPE_CHECKING:
+    from models.results.run import StageRecord
     from models.scene import Scene
     from models.trajectory import Trajectory
-    from reports.records.record import StageRecord
     from validate.tasks.plugins import Plugin
 
 
@@ -204,7 +204,7 @@ class Judge:
         )
         if item.planned.method.kind is Kind.GIVEN:
             of_plan |= self._of_given(item.solution, judged)
-        return record.model_copy(update=of_plan)
+        return replace(record, **of_plan)
 
     def _of_given(self, solution: Solution, judged: Judged) -> dict[str, object]:
         """Return the cost of a plan from a file, and how far it misses its own time step."""

@@ -17,9 +17,9 @@ from pydantic import TypeAdapter
 
 from formulations.method import Pipeline
 from models.errors import SceneError
+from models.results.check import CheckRecord
+from models.results.run import RunRecord
 from models.scene import Limit, Scene
-from reports.records.check_record import CheckRecord
-from reports.records.record import RunRecord
 
 # The scene of a foreign plan is the physics, or the plan's own equations; empty: of no such plan.
 JudgedBy: TypeAlias = Literal["", "scene", "model"]

@@ -20,8 +20,8 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from models.errors import MachineError
-from reports.records.check_record import record_of
-from reports.records.record import ProvenanceRecord, RunRecord
+from models.results.run import ProvenanceRecord, RunRecord
+from models.results.stored import record_of, to_data, to_json
 from validate.processes.disk import disk_error, refusals_in_words, remove, tail, write_durably
 from validate.processes.process import TEMPORARY, Child, Ended, Preloaded, exit_in_words
 from validate.store.store import LOG, MACHINE, RECORD, REQUEST, Store, log_in, progress_in
@@ -90,7 +90,7 @@ class Worker:
 
     def _file(self, record: TaskRecord) -> None:
         if self._amends and (self._store.runs / record.key).is_dir():
-            write_durably(self._store.runs / record.key / RECORD, record.model_dump_json())
+            write_durably(self._store.runs / record.key / RECORD, to_json(record))
             return
         has_plan = isinstance(record, RunRecord) and any(stage.has_plan for stage in record.stages)
         for path in tuple(self._folder.iterdir()):
@@ -145,13 +145,13 @@ class Worker:
             if isinstance(run, RunRecord):
                 return unfinished_survey(self._task, run, child)
         record = record_for_crash(self._task, self._provenance, child, self._folder, self._loaded)
-        write_durably(self._folder / RECORD, record.model_dump_json())
+        write_durably(self._folder / RECORD, to_json(record))
         return record
 
 
 def write_request(folder: Path, task: Task, provenance: ProvenanceRecord) -> None:
     """Write a task's request into its folder. Raises MachineError."""
-    request = {"task": task_to_json(task), "provenance": provenance.model_dump(mode="json")}
+    request = {"task": task_to_json(task), "provenance": to_data(provenance)}
     write_durably(folder / REQUEST, json.dumps(request, indent=1))
 
 

@@ -2,13 +2,14 @@
 
 import html
 import re
+from dataclasses import replace
 
 from wording import unsaid
 
+from models.results.check import CheckRecord
+from reports.load import Stored, Unreadable, load
 from reports.pages import overview
 from reports.pages.section import Report
-from reports.records.check_record import CheckRecord
-from reports.records.load import Stored, Unreadable, load
 from reports.render import render
 from reports.rule import RESULTS, RULE
 
@@ -18,7 +19,7 @@ def ended(factory, scene: str, pipeline: str, verdict: str, outcome: str = "solv
         "strict", None, "strict_lcp", key=f"{scene}-{pipeline}", verdict=verdict, outcome=outcome
     )
     metrics = tuple(
-        item.model_copy(update={"value": 0.43, "limit": 0.05, "ok": False})
+        replace(item, value=0.43, limit=0.05, ok=False)
         if item.name == "replay_terminal_position_error"
         else item
         for item in run.stages[0].metrics
@@ -30,12 +31,8 @@ def ended(factory, scene: str, pipeline: str, verdict: str, outcome: str = "solv
         "metrics": metrics if verdict == "violates" else (),
         **changes,
     }
-    return run.model_copy(
-        update={
-            "scene": factory.scene(scene),
-            "pipeline": pipeline,
-            "stages": (run.stages[0].model_copy(update=said),),
-        }
+    return replace(
+        run, scene=factory.scene(scene), pipeline=pipeline, stages=(replace(run.stages[0], **said),)
     )
 
 
@@ -148,10 +145,9 @@ def test_a_limit_is_told_where_runs_share_it_and_a_link_to_each_scene(factory):
     runs = [ended(factory, "bank", name, "violates") for name in ("a", "b")]
     (stage,) = runs[1].stages
     other = tuple(
-        item.model_copy(update={"limit": 0.07}) if item.limit == 0.05 else item
-        for item in stage.metrics
+        replace(item, limit=0.07) if item.limit == 0.05 else item for item in stage.metrics
     )
-    runs[1] = runs[1].model_copy(update={"stages": (stage.model_copy(update={"metrics": other}),)})
+    runs[1] = replace(runs[1], stages=(replace(stage, metrics=other),))
     (group,) = section(*runs).values["groups"]
     ((name, link, limit, mine),) = group.scenes
     assert (name, link, limit, [(item.by, item.limit, item.link) for item in mine]) == (

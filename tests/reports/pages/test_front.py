@@ -1,13 +1,15 @@
 """Cost against terminal error, and CPU time against error and cost: every mark at its values, and fronts as staircases."""
 
+from dataclasses import replace
+
 import pytest
 from wording import unsaid
 
+from models.results.run import RunRecord
+from reports.load import Stored
 from reports.pages import overview, pareto
 from reports.pages.section import Report
 from reports.plots import Axis, Plot
-from reports.records.load import Stored
-from reports.records.record import RunRecord
 from tests.reports.drawn import Mark, drawn
 from tests.reports.record_factory import judged, ran, scene
 
@@ -146,7 +148,7 @@ def test_costs_that_span_more_than_twenty_are_logarithmic(dearest: float, log: b
 
 
 def test_without_a_known_cost_there_is_no_level_and_units_that_differ_are_not_told():
-    bare = scene().model_copy(update={"answers": ()})
+    bare = replace(scene(), answers=())
     other = ran("other", judged(POSITION, 0.3, "rad"), cost=9.0, of=bare)
     told = section(ran("one", judged(POSITION, 0.2), cost=5.0, of=bare), other)
     (plot,) = told["plots"]
@@ -344,13 +346,10 @@ def test_of_a_stage_that_holds_with_feedback_that_replay_counts():
         judged("tracked_replay_error", 0.004, limit=0.02),
         judged("tracked_replay_terminal_position_error", 0.01, limit=0.06, ok=True),
     )
-    stage = one.model_copy(
-        update={
-            "metrics": (*one.metrics, *tracked),
-            "replay": one.replay.model_copy(update={"judged": "feedback"}),
-        }
+    stage = replace(
+        one, metrics=(*one.metrics, *tracked), replay=replace(one.replay, judged="feedback")
     )
-    error, cost = speed(run.model_copy(update={"stages": (stage,)}))
+    error, cost = speed(replace(run, stages=(stage,)))
     assert [mark.at for mark in drawn(error[0]).marks] == [(1.0, 0.004)]
     assert [mark.style for mark in drawn(cost[0]).marks] == ["c2 full"]
     assert "followed, which holds with feedback" in error[1]
@@ -389,7 +388,7 @@ def test_why_a_method_has_no_point():
 def test_where_nothing_holds_or_nothing_is_planned_it_says_so():
     bad = replayed("bad", 0.3, 490.0, 1.0, "violates")
     assert not unsaid(speed(bad)[0][1], "None of 1 plan holds")
-    told = report(bad.model_copy(update={"scene": bad.scene.model_copy(update={"inputs": ()})}))
+    told = report(replace(bad, scene=replace(bad.scene, inputs=())))
     free = pareto.build(told, told.scenes[0])
     assert (free.values["views"], free.values["failed"], free.values["nothing"][:28]) == (
         [],
@@ -412,7 +411,7 @@ def test_the_first_screen_has_speed_against_error_of_all_scenes():
                     ("worse", 5.0, 0.03, "holds"), ("wrong", 0.1, 1e-5, "violates"))
         for factor, where in zip((1.0, 3.0, 2.0), scenes, strict=True)
     ]  # fmt: skip
-    told = report(*(run.model_copy(update={"key": f"{run.key}-{run.scene.name}"}) for run in runs))
+    told = report(*(replace(run, key=f"{run.key}-{run.scene.name}") for run in runs))
     values = overview.build(told).values
     plot = values["plot"]
     top, right = float(f"{plot.y.high:.4g}"), float(f"{plot.x.high:.4g}")
@@ -454,6 +453,6 @@ def test_the_first_screen_has_speed_against_error_of_all_scenes():
 def test_an_error_too_small_to_tell_is_drawn_as_the_replays_own():
     told = report(ran("tick", judged("replay_error", 1e-13), cpu=1e-5))
     assert drawn(overview.build(told).values["plot"]).marks[0].at == (1e-3, 3e-9)
-    one = told.stored.runs[0].stages[0].model_copy(update={"replay": None})
-    told = report(told.stored.runs[0].model_copy(update={"stages": (one,)}))
+    one = replace(told.stored.runs[0].stages[0], replay=None)
+    told = report(replace(told.stored.runs[0], stages=(one,)))
     assert drawn(overview.build(told).values["plot"]).marks[0].at == (1e-3, 1e-12)

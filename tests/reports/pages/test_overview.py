@@ -7,22 +7,23 @@ in it.
 import html
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from wording import unsaid
 
+from reports.load import Stored, load
 from reports.pages import overview
 from reports.pages.section import Report, run_pages
-from reports.records.load import Stored, load
 from reports.render import _OTHERS, PAGES, render, write_report
 
 
 @pytest.fixture
 def folder(factory, tmp_path):
     one, chain, lost = factory.runs()[0], factory.runs()[4], factory.runs()[1]
-    lost = lost.model_copy(update={"verdict": "violates", "scene": factory.scene("other")})
-    profiled = one.model_copy(update={"profile": {"start": 1.0, "replay": 3.0}})
+    lost = replace(lost, verdict="violates", scene=factory.scene("other"))
+    profiled = replace(one, profile={"start": 1.0, "replay": 3.0})
     return factory.store(tmp_path / "all", [profiled, chain, lost])
 
 
@@ -73,10 +74,8 @@ def ended(factory, scene: str, pipeline: str, verdict: str, cost: float | None =
     run = factory.run(
         "strict", None, "strict_lcp", key=f"{scene}-{pipeline}", verdict=verdict, **changes
     )
-    stage = run.stages[0].model_copy(update={"verdict": verdict, "cost": cost, "paper": {}})
-    return run.model_copy(
-        update={"scene": factory.scene(scene), "pipeline": pipeline, "stages": (stage,)}
-    )
+    stage = replace(run.stages[0], verdict=verdict, cost=cost, paper={})
+    return replace(run, scene=factory.scene(scene), pipeline=pipeline, stages=(stage,))
 
 
 def section(*runs, folder: Path = Path()):
@@ -163,9 +162,7 @@ def test_of_a_relaxation_the_tightest_eps_is_drawn(factory):
 
 def test_the_film_is_of_the_cheapest_plan_on_the_papers_scene(factory, tmp_path):
     dear, cheap = factory.run("strict", None, "strict_lcp"), factory.run("relu_gd", None, "relu_gd")
-    cheap = cheap.model_copy(
-        update={"stages": (cheap.stages[0].model_copy(update={"cost": 400.0}),)}
-    )
+    cheap = replace(cheap, stages=(replace(cheap.stages[0], cost=400.0),))
     other = ended(factory, "another", "strict", "holds", 1.0)
     folder = factory.store(tmp_path / "all", [other, dear, cheap])
     drawn, _, run = overview.build(Report(load(folder), folder)).values["strip"]

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Literal
 
 import pytest
 
+from models.results.run import OWN_STEP, RunRecord
+from models.results.verdict import Question
 from reports.foreign import Answers, answers, planned, sentence
+from reports.load import Stored
 from reports.pages import plans
 from reports.pages.section import Report
-from reports.records.load import Stored
-from reports.records.record import OWN_STEP, QuestionRecord, RunRecord
 from reports.render import Templates
 from tests.reports import record_factory as factory
 from validate.campaign.results import plan_rows
@@ -28,17 +30,15 @@ def judged(
     run = factory.run("strict", None, "strict_lcp", key=f"{instance}-{by}", verdict=verdict)
     changes: dict[str, Any] = {"kind": "given", "verdict": verdict, "cause": cause, "paper": {}}
     changes["residuals"] = {} if missed is None else {OWN_STEP: missed}
-    asked = QuestionRecord(number=6, text="own scheme", answer=discrete or "not asked")
-    changes["questions"] = (asked,)
-    return run.model_copy(
-        update={
-            "instance": instance,
-            "judged_by": by,
-            "pipeline": "published",
-            "must_hold": False,
-            "stages": (run.stages[-1].model_copy(update=changes),),
-            "scene": factory.scene(instance if by == "scene" else f"{instance}_own_equations"),
-        }
+    changes["questions"] = ((Question.SCHEME, discrete or "not asked"),)
+    return replace(
+        run,
+        instance=instance,
+        judged_by=by,
+        pipeline="published",
+        must_hold=False,
+        stages=(replace(run.stages[-1], **changes),),
+        scene=factory.scene(instance if by == "scene" else f"{instance}_own_equations"),
     )
 
 
@@ -77,7 +77,7 @@ def test_discrete_without_own_step_is_question_six():
 
 def test_runs_that_plan_are_no_foreign_plans():
     ours = factory.run("strict", None, "strict_lcp")
-    beside = ours.model_copy(update={"instance": "a", "judged_by": "scene"})
+    beside = replace(ours, instance="a", judged_by="scene")
     assert answers([ours, beside]) == []
     assert planned([ours, judged("holds")]) == (ours,)
     assert sentence([]) == ""

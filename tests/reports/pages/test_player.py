@@ -6,16 +6,17 @@ A film strip: where bodies stand at six times, against a motion made by hand.
 import json
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from wording import unsaid
 
 from models.catalog import load_scene
+from models.results.run import ContactRecord, ShapeRecord, TrackedRecord
 from models.trajectory import Trajectory
 from models.trajectory_netcdf import write_netcdf
 from reports.pages.player import film, script_json, steps, strip
-from reports.records.record import ContactRecord, ShapeRecord, TrackedRecord
 from reports.traces import Motion, Trace, read_motion
 from tests.reports import record_factory
 from validate.tasks.scene_record import scene_record
@@ -54,10 +55,8 @@ def _drawn(factory, folder, name: str, **changes) -> dict:
     )
     write_netcdf(folder / "trajectory.nc", plan, scene)
     run = factory.runs()[0]
-    stage = run.stages[-1].model_copy(update={"replay": None})
-    run = run.model_copy(
-        update={"scene": scene_record(scene).model_copy(update=changes), "stages": (stage,)}
-    )
+    stage = replace(run.stages[-1], replay=None)
+    run = replace(run, scene=replace(scene_record(scene), **changes), stages=(stage,))
     shown = film(run, [read_motion(folder, run, stage)])
     return json.loads(shown.markup)
 
@@ -76,7 +75,7 @@ def test_arrows_stand_on_the_bodies_that_the_scene_names_and_part_them(factory, 
 
 def test_a_record_that_names_no_bodies_is_shown_without_arrows(factory, tmp_path):
     contacts = tuple(
-        contact.model_copy(update={"bodies": ("", "")})
+        replace(contact, bodies=("", ""))
         for contact in scene_record(load_scene("three_cart")).contacts
     )
     assert _drawn(factory, tmp_path, "three_cart", contacts=contacts)["touches"] == [None, None]
@@ -87,7 +86,7 @@ def test_the_goal_is_drawn_where_the_record_has_it_and_only_a_disc_may_lack_its_
 ):
     shapes = scene_record(load_scene("three_cart")).shapes
     changed = tuple(
-        shape.model_copy(update={"goal": (1.0, 2.0, None), "kind": kind})
+        replace(shape, goal=(1.0, 2.0, None), kind=kind)
         for shape, kind in zip(shapes, ("box", "disc", "disc"), strict=True)
     )
     assert [shape["goal"] for shape in _drawn(factory, tmp_path, "three_cart")["shapes"]] == [
@@ -106,10 +105,10 @@ def filmed(plan: Trace | None, moved: Trace | None, shapes=("box", "disc"), **ch
     run = record_factory.run("strict", None, "strict_lcp")
     drawn = tuple(ShapeRecord(name=kind, kind=kind, size=(1.0, 0.5), goal=None) for kind in shapes)
     contact = ContactRecord(name="left", unit="N", bodies=("box", "disc"))
-    scene = run.scene.model_copy(update={"shapes": drawn, "contacts": (contact,)})
-    stage = run.stages[0].model_copy(update=changes)
+    scene = replace(run.scene, shapes=drawn, contacts=(contact,))
+    stage = replace(run.stages[0], **changes)
     return film(
-        run.model_copy(update={"scene": scene, "stages": (stage,)}),
+        replace(run, scene=scene, stages=(stage,)),
         [Motion(plan=plan, replay=moved, tracked=moved)],
     )
 
@@ -179,7 +178,7 @@ def test_a_film_says_what_it_shows():
     assert (data["replay"], data["replay_force"]) == (None, None)
     stage = record_factory.run("strict", None, "strict_lcp").stages[0]
     tracked = TrackedRecord(error_estimate=1e-9, rms=(0.1,), peak=(0.3,))
-    replay = stage.replay.model_copy(update={"judged": "feedback", "tracked": tracked})
+    replay = replace(stage.replay, judged="feedback", tracked=tracked)
     assert "as replayed with feedback (filled)," in filmed(plan, plan, replay=replay).words
 
 
@@ -275,23 +274,22 @@ def test_an_arrow_points_along_the_way_in_which_the_gap_opens(
         ShapeRecord(name="wall", kind="wall", size=(9.0,)),
         ShapeRecord(name="body", kind=kind if kind == "line" else "disc", size=(2.0,)),
     )
-    scene = run.scene.model_copy(
-        update={
-            "shapes": shapes,
-            "contacts": (ContactRecord(name="left", unit="N", bodies=("wall", "body")),),
-        }
+    scene = replace(
+        run.scene,
+        shapes=shapes,
+        contacts=(ContactRecord(name="left", unit="N", bodies=("wall", "body")),),
     )
     trace = Trace(np.arange(float(n)), {"gap_left": gap}, {"wall": wall, "body": body})
-    shown = film(run.model_copy(update={"scene": scene}), [Motion(plan=trace)])
+    shown = film(replace(run, scene=scene), [Motion(plan=trace)])
     (touch,) = json.loads(shown.markup)["touches"]
     assert touch == {"shapes": [1, 0], "ends": [end, 0.0], "turn": round(turn, 6)}
     assert not unsaid(shown.words, "as arrows, and as bars")
     off = Trace(
         trace.t, {"gap_left": gap + 0.004 * float(np.ptp(gap)) * np.sin(np.arange(n))}, trace.poses
     )
-    assert json.loads(film(run.model_copy(update={"scene": scene}), [Motion(plan=off)]).markup)[
-        "touches"
-    ] == [None]
+    assert json.loads(film(replace(run, scene=scene), [Motion(plan=off)]).markup)["touches"] == [
+        None
+    ]
 
 
 # The scale of a strip: 0.9 of a frame of 150 by 84.
@@ -305,13 +303,11 @@ def drawn(
     poses: dict[str, list[tuple[float, float, float]]],
     t=(0.0, 10.0),
 ):
-    scene = factory.scene().model_copy(
-        update={
-            "shapes": tuple(
-                ShapeRecord(name=name, kind=kind, size=size)
-                for name, (kind, size) in shapes.items()
-            )
-        }
+    scene = replace(
+        factory.scene(),
+        shapes=tuple(
+            ShapeRecord(name=name, kind=kind, size=size) for name, (kind, size) in shapes.items()
+        ),
     )
     found = {name: np.array(values, float) for name, values in poses.items()}
     return strip(scene, Trace(np.array(t, float), {}, found))

@@ -3,16 +3,18 @@
 import html
 import os
 import re
+from dataclasses import replace
 from hashlib import sha256
 
 import pytest
 from wording import unsaid
 
+from models.results.run import RunRecord, TrackedRecord
+from models.results.verdict import Question
+from reports.load import Stored
 from reports.pages import run as one_run
 from reports.pages.run import decision_of, not_applicable, view_of
 from reports.pages.section import Report, run_pages
-from reports.records.load import Stored
-from reports.records.record import RunRecord, TrackedRecord
 from reports.render import PAGES, write_report
 from tests.reports import record_factory as factory
 from tests.reports.record_factory import judged, ran
@@ -30,9 +32,7 @@ def test_every_run_is_a_row_with_the_numbers_of_its_last_stage():
     )
     told = report(
         ran("a", *metrics, cost=490.0, cpu=3.0),
-        ran("b", cost=None, verdict="not applicable").model_copy(
-            update={"stages": (), "message": "x: too many."}
-        ),
+        replace(ran("b", cost=None, verdict="not applicable"), stages=(), message="x: too many."),
     )
     found = one_run.all_runs(told)
     first, second = found.values["listed"]
@@ -78,15 +78,12 @@ def test_every_run_is_a_row_with_the_numbers_of_its_last_stage():
     ],
 )  # fmt: skip
 def test_why_a_run_does_not_apply(message: str, said: str):
-    assert (
-        not_applicable(ran("a", verdict="not applicable").model_copy(update={"message": message}))
-        == said
-    )
-    assert not_applicable(ran("a", verdict="holds").model_copy(update={"message": message})) == ""
+    assert not_applicable(replace(ran("a", verdict="not applicable"), message=message)) == said
+    assert not_applicable(replace(ran("a", verdict="holds"), message=message)) == ""
 
 
 def test_why_a_run_has_its_verdict():
-    bad = judged("physics_scaled", 2.0, question=3, limit=1.0, ok=False)
+    bad = judged("physics_scaled", 2.0, question=Question.FORCES, limit=1.0, ok=False)
     answers = factory.questions(q3="no")
     run = ran(
         "a",
@@ -99,19 +96,21 @@ def test_why_a_run_has_its_verdict():
         questions=answers,
     )
     found = decision_of(run)
-    assert (found.question.number, found.metric) == (3, bad)
+    assert (found.question[0].number, found.metric) == (3, bad)
     assert not unsaid(found.cause, "The planned forces are not those of contact. It is too much.")
     assert not unsaid(found.advice, "Tighten the solver's tolerance")
     good = decision_of(
-        ran("a", judged("x", 0.5, question=2, limit=1.0, ok=True), cost=None, why="").model_copy(
-            update={"message": "never told"}
+        replace(
+            ran(
+                "a", judged("x", 0.5, question=Question.GOAL, limit=1.0, ok=True), cost=None, why=""
+            ),
+            message="never told",
         )
     )
     assert (good.cause, good.advice) == ("", "")
     lost = decision_of(
-        ran("a", verdict="no plan", why="",
-            outcome="crashed").model_copy(update={"stages": (), "outcome": "crashed",
-                                                  "message": "it is gone."}),
+        replace(ran("a", verdict="no plan", why="",
+            outcome="crashed"), stages=(), outcome="crashed", message="it is gone."),
     )  # fmt: skip
     assert (lost.question, lost.metric, lost.cause, lost.ends) == (
         None,
@@ -123,18 +122,18 @@ def test_why_a_run_has_its_verdict():
 
 def test_judged_metrics_of_all_stages_stand_side_by_side():
     first = ran(
-        "a", judged("b", 1.0, question=5, limit=3.0),
-        judged("tracked_b", 9.0, question=5, limit=3.0), judged("feedback_effort", 2.0, limit=1.0),
+        "a", judged("b", 1.0, question=Question.POSSIBLE, limit=3.0),
+        judged("tracked_b", 9.0, question=Question.POSSIBLE, limit=3.0), judged("feedback_effort", 2.0, limit=1.0),
         judged("shown", 4.0),
     ).stages[0]  # fmt: skip
     second = ran(
         "a",
-        judged("b", 2.0, question=5, limit=4.0),
+        judged("b", 2.0, question=Question.POSSIBLE, limit=4.0),
         judged("c", 7.0, limit=1.0),
-        judged("d", 8.0, question=1, limit=1.0),
+        judged("d", 8.0, question=Question.TASK, limit=1.0),
         eps=1e-3,
     ).stages[0]
-    run = ran("a").model_copy(update={"stages": (first, second.model_copy(update={"index": 1}))})
+    run = replace(ran("a"), stages=(first, replace(second, index=1)))
     view = view_of(report(run), run)
     assert [
         (metric.name, [item and item.value for item in found]) for metric, found in view.beside
@@ -161,10 +160,8 @@ def test_both_ends_are_told_where_there_is_feedback():
         [("replay", "position 0.50 m")]
     ]
     (one,) = run.stages
-    replay = one.replay.model_copy(
-        update={"tracked": TrackedRecord(error_estimate=1e-9), "judged": "feedback"}
-    )
-    followed = run.model_copy(update={"stages": (one.model_copy(update={"replay": replay}),)})
+    replay = replace(one.replay, tracked=TrackedRecord(error_estimate=1e-9), judged="feedback")
+    followed = replace(run, stages=(replace(one, replay=replay),))
     (view,) = view_of(report(followed), followed).stages
     assert view.ends == [("inputs alone", "position 0.50 m"), ("with feedback", "position 0.25 m")]
     assert (view.stage.is_tracked, view.stage.is_followed, view.stage.is_empty, view.idle) == (
@@ -174,7 +171,7 @@ def test_both_ends_are_told_where_there_is_feedback():
         False,
     )
     bare = {"has_plan": False, "replay": None, "iterations": 0}
-    seconds = one.seconds.model_copy(update={"stage": 0.0})
+    seconds = replace(one.seconds, wall=0.0)
     for changes, idle in (
         (bare, False),
         (bare | {"seconds": seconds}, True),
@@ -185,14 +182,11 @@ def test_both_ends_are_told_where_there_is_feedback():
         lost = (
             ran("a", **changes)
             if "seconds" not in changes
-            else ran("a").model_copy(
-                update={
-                    "stages": (
-                        one.model_copy(
-                            update=changes | ({"metrics": ()} if "replay" in changes else {})
-                        ),
-                    )
-                }
+            else replace(
+                ran("a"),
+                stages=(
+                    replace(one, **(changes | ({"metrics": ()} if "replay" in changes else {}))),
+                ),
             )
         )
         assert view_of(report(lost), lost).stages[0].idle == idle, changes
@@ -256,7 +250,7 @@ def test_the_page_of_a_run_begins_with_its_verdict(factory, tmp_path):
     )
     (stage,) = run.stages
     metrics = tuple(
-        item.model_copy(update={"value": 0.12, "ok": False})
+        replace(item, value=0.12, ok=False)
         if item.name == "replay_terminal_position_error"
         else item
         for item in stage.metrics
@@ -266,9 +260,9 @@ def test_the_page_of_a_run_begins_with_its_verdict(factory, tmp_path):
         "questions": factory.questions(q4="no"),
         "why": "the motion ends 0.12 m from the goal.", "cause": "motion",
     }  # fmt: skip
-    run = run.model_copy(update={"stages": (stage.model_copy(update=said),)})
+    run = replace(run, stages=(replace(stage, **said),))
     decision = decision_of(run)
-    assert (decision.question.number, decision.metric.name, decision.metric.value) == (
+    assert (decision.question[0].number, decision.metric.name, decision.metric.value) == (
         4,
         "replay_terminal_position_error",
         0.12,
@@ -296,7 +290,7 @@ def test_the_page_of_a_run_begins_with_its_verdict(factory, tmp_path):
 def test_run_pages_names_are_readable_and_unique(factory):
     def ran(pipeline: str, key: str, **changes: object) -> RunRecord:
         run = factory.run(pipeline, None, "strict_lcp")
-        return run.model_copy(update={"key": key, **changes})
+        return replace(run, **{"key": key, **changes})
 
     runs = [
         ran("softplus_dc+strict", "a"),
@@ -334,7 +328,7 @@ def test_a_page_of_an_earlier_run_of_its_name_is_written_again(factory, tmp_path
     run = factory.run("strict", None, "strict_lcp")
     texts = []
     for key in ("one", "two"):
-        factory.store(folder, [run.model_copy(update={"key": key})])
+        factory.store(folder, [replace(run, key=key)])
         for path in (folder / "runs" / key, folder / "runs" / key / "record.json"):
             os.utime(path, (1, 1))
         write_report(folder)
@@ -345,12 +339,10 @@ def test_a_page_of_an_earlier_run_of_its_name_is_written_again(factory, tmp_path
 def test_a_metric_that_could_not_be_measured_decides_with_its_reason(factory, tmp_path):
     run = factory.run("strict", None, "strict_lcp", verdict="undecided")
     (stage,) = run.stages
-    lost = stage.metrics[-2].model_copy(
-        update={"value": None, "ok": None, "reason": "the replay left every bound"}
+    lost = replace(
+        stage.metrics[-2], value=None, ok=None, default=False, reason="the replay left every bound"
     )
-    run = run.model_copy(
-        update={"stages": (stage.model_copy(update={"metrics": (lost,), "verdict": "undecided"}),)}
-    )
+    run = replace(run, stages=(replace(stage, metrics=(lost,), verdict="undecided"),))
     folder = factory.store(tmp_path / "all", [run])
     write_report(folder)
     assert not unsaid(

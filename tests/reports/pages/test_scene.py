@@ -3,14 +3,15 @@
 import html
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from wording import unsaid
 
+from reports.load import load
 from reports.pages import scene as module
 from reports.pages.section import Report, run_pages
-from reports.records.load import load
 from reports.render import PAGES, write_report
 
 
@@ -27,14 +28,10 @@ def shown(folder: Path):
 @pytest.mark.slow
 def test_it_plays_the_cheapest_plan_that_holds_beside_replay_goal_and_forces(factory, tmp_path):
     scene = factory.scene()
-    scene = scene.model_copy(
-        update={
-            "shapes": tuple(
-                shape.model_copy(update={"goal": (2.5, 0.0, 0.0)}) for shape in scene.shapes
-            )
-        }
+    scene = replace(
+        scene, shapes=tuple(replace(shape, goal=(2.5, 0.0, 0.0)) for shape in scene.shapes)
     )
-    runs = [run.model_copy(update={"scene": scene}) for run in factory.runs()[:5]]
+    runs = [replace(run, scene=scene) for run in factory.runs()[:5]]
     cheap = min(
         (run for run in runs if run.verdict == "holds"), key=lambda run: run.stages[-1].cost
     )
@@ -80,16 +77,14 @@ def test_where_nothing_holds_it_shows_the_plan_that_its_replay_stays_nearest_to(
     for run, error in zip(factory.runs()[:2], (0.4, 0.3), strict=True):
         last = run.stages[-1]
         metrics = tuple(
-            metric.model_copy(update={"value": error, "ok": False})
-            if metric.name == "replay_error"
-            else metric
+            replace(metric, value=error, ok=False) if metric.name == "replay_error" else metric
             for metric in last.metrics
         )
         stages = (
             *run.stages[:-1],
-            last.model_copy(update={"verdict": "violates", "metrics": metrics}),
+            replace(last, verdict="violates", metrics=metrics),
         )
-        runs.append(run.model_copy(update={"verdict": "violates", "stages": stages}))
+        runs.append(replace(run, verdict="violates", stages=stages))
     found = shown(factory.store(tmp_path / "all", runs))
     assert (found.run.pipeline, found.said) == (
         runs[1].pipeline,
@@ -101,9 +96,7 @@ def test_where_nothing_holds_it_shows_the_plan_that_its_replay_stays_nearest_to(
 def test_without_a_motion_it_says_so(factory, tmp_path, lost):
     run = factory.runs()[0]
     if lost == "plan":
-        run = run.model_copy(
-            update={"stages": (run.stages[-1].model_copy(update={"has_plan": False}),)}
-        )
+        run = replace(run, stages=(replace(run.stages[-1], has_plan=False),))
     folder = factory.store(tmp_path / "all", [run])
     for path in (folder / "runs" / run.key).glob("*.nc"):
         path.unlink()

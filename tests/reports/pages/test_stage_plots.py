@@ -1,18 +1,19 @@
 """The plots of a stage against motions made by hand: which values each line has, in which unit, and what is said of them."""
 
 import re
+from dataclasses import replace
 
 import pytest
 from wording import unsaid
 
-from reports.pages.stage_plots import stage_plots
-from reports.records.record import (
+from models.results.run import (
     ContactRecord,
     QuantityRecord,
     SceneRecord,
     StageRecord,
     TrackedRecord,
 )
+from reports.pages.stage_plots import stage_plots
 from reports.traces import Motion
 from tests.reports import record_factory as factory
 from tests.reports.drawn import drawn
@@ -31,12 +32,7 @@ REPLAY = {
 
 def scene() -> SceneRecord:
     of = QuantityRecord
-    return factory.scene().model_copy(update={
-        "coordinates": (of(name="x", unit="m"), of(name="a", unit="rad"), of(name="y", unit="m")),
-        "inputs": (of(name="u", unit="N"), of(name="w", unit="N m")),
-        "contacts": (ContactRecord(name="left", unit="N"),),
-        "frictions": (of(name="rub", unit="N", description="at the floor"),),
-    })  # fmt: skip
+    return replace(factory.scene(), coordinates=(of(name="x", unit="m"), of(name="a", unit="rad"), of(name="y", unit="m")), inputs=(of(name="u", unit="N"), of(name="w", unit="N m")), contacts=(ContactRecord(name="left", unit="N"),), frictions=(of(name="rub", unit="N", description="at the floor"),))  # fmt: skip
 
 
 def stage(**changes: object) -> StageRecord:
@@ -146,9 +142,7 @@ def feedback() -> StageRecord:
     one = stage()
     assert one.replay is not None
     tracked = TrackedRecord(error_estimate=1e-9, rms=(0.1,), peak=(0.3,))
-    return one.model_copy(
-        update={"replay": one.replay.model_copy(update={"judged": "feedback", "tracked": tracked})}
-    )
+    return replace(one, replay=replace(one.replay, judged="feedback", tracked=tracked))
 
 
 def test_with_feedback_the_tracked_replay_is_drawn_and_both_errors():
@@ -259,9 +253,7 @@ def test_what_is_absent_has_its_reason(changes: dict, motion: Motion | None, abs
 
 def test_the_replays_own_words_are_the_reason():
     one = stage()
-    one = one.model_copy(
-        update={"replay": one.replay.model_copy(update={"message": "the FMU crashed."})}
-    )
+    one = replace(one, replay=replace(one.replay, message="the FMU crashed."))
     assert plotted(Motion(plan=factory.trace(range(4), **PLAN)), one).absent == [
         "No replay is stored: the FMU crashed."
     ]

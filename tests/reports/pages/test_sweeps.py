@@ -4,16 +4,19 @@ Each mark at its number, medians joined, zeros below everything else.
 """
 
 import re
+from dataclasses import replace
 
 import pytest
 from wording import unsaid
 
+from models.results.check import AxisRecord, ChartRecord, CheckRecord, SeriesRecord
+from models.results.run import QuantityRecord, RunRecord, SceneRecord
+from models.results.stored import from_data
+from models.results.verdict import Metric
+from reports.load import Stored
 from reports.pages import checks, sweeps
 from reports.pages.section import Report
 from reports.pages.sweeps import Mark, Quantity, draw_against, keys_of, styles_of
-from reports.records.check_record import AxisRecord, ChartRecord, CheckRecord, SeriesRecord
-from reports.records.load import Stored
-from reports.records.record import MetricRecord, QuantityRecord, RunRecord, SceneRecord
 from reports.render import Templates
 from tests.reports import drawn as back
 from tests.reports import record_factory as factory
@@ -83,8 +86,7 @@ def test_styles_and_keys():
 def swept(name: str, k: float, verdict: str = "holds", **changes: object) -> RunRecord:
     where = factory.scene(f"hill_k_{k:g}")
     parameters = tuple(
-        item.model_copy(update={"value": k}) if item.name == "k" else item
-        for item in where.parameters
+        replace(item, value=k) if item.name == "k" else item for item in where.parameters
     )
     metrics = (
         judged("replay_error", k / 100, "rad"), judged("odd_metric", 1 / k, "J"),
@@ -97,13 +99,12 @@ def swept(name: str, k: float, verdict: str = "holds", **changes: object) -> Run
         cost=100.0 * k,
         cpu=k / 10,
         verdict=verdict,
-        of=where.model_copy(update={"parameters": parameters, **changes}),
+        of=replace(where, **{"parameters": parameters, **changes}),
     )
-    return run.model_copy(
-        update={
-            "key": f"{name}-{k:g}",
-            "stages": tuple(stage.model_copy(update={"method": "soft"}) for stage in run.stages),
-        }
+    return replace(
+        run,
+        key=f"{name}-{k:g}",
+        stages=tuple(replace(stage, method="soft") for stage in run.stages),
     )
 
 
@@ -155,7 +156,7 @@ def test_every_metric_of_a_sweep_is_drawn_in_its_unit():
 
 
 def test_where_the_last_state_is_in_the_cost_the_cost_itself_is_drawn():
-    from reports.records.record import FINAL_COST, EquationRecord
+    from models.results.run import FINAL_COST, EquationRecord
 
     final = (EquationRecord(caption=FINAL_COST, mathml="<math/>"),)
     (sweep,) = sweeps.build(
@@ -206,7 +207,7 @@ def charted(*curves: SeriesRecord, log: tuple[bool, bool] = (False, False), **ch
         "x": AxisRecord(quantity="time", unit="s", log=log[0]),
         "y": AxisRecord(quantity="error", unit="m", log=log[1]),
     }
-    chart = ChartRecord.model_validate({**said, "series": curves, **changes})
+    chart = from_data(ChartRecord, {**said, "series": curves, **changes})
     record = CheckRecord(
         key="1", kind="stress case", name="07 a case", expected="", outcome="answered", passed=True,
         charts=(chart,), wall_seconds=1.0,
@@ -282,14 +283,12 @@ def test_zeros_of_a_logarithmic_axis_stand_below_and_off_the_line():
     )
 
 
-def figure(name: str, ok: bool | None, **changes: object) -> MetricRecord:
-    return MetricRecord.model_validate(
-        {
+def figure(name: str, ok: bool | None, **changes: object) -> Metric:
+    return from_data(Metric, {
             "name": name, "value": 0.25, "unit": "m^2", "meaning": f"meaning of {name}",
             "limit": 0.5, "reason": f"reason of {name}", "ok": ok,
             **changes,
-        },
-    )  # fmt: skip
+        })  # fmt: skip
 
 
 def examined(name: str, **changes: object) -> CheckRecord:
@@ -298,7 +297,7 @@ def examined(name: str, **changes: object) -> CheckRecord:
         "passed": True, "wall_seconds": 1.0,
         "cpu_seconds": 1.5,
     }  # fmt: skip
-    return CheckRecord.model_validate({**said, "provenance": factory.provenance(), **changes})
+    return from_data(CheckRecord, {**said, "provenance": factory.provenance(), **changes})
 
 
 def test_a_stress_case_is_a_row_with_its_decisive_figures():
@@ -375,10 +374,9 @@ def scene(factory, name: str, **changes) -> SceneRecord:
     plain = factory.scene(name)
     k = changes.pop("k", 30.0)
     parameters = tuple(
-        item.model_copy(update={"value": k}) if item.name == "k" else item
-        for item in plain.parameters
+        replace(item, value=k) if item.name == "k" else item for item in plain.parameters
     )
-    return plain.model_copy(update={"parameters": parameters, **changes})
+    return replace(plain, **{"parameters": parameters, **changes})
 
 
 def run(
@@ -393,18 +391,13 @@ def run(
     one = factory.run("strict", None, "strict_lcp", key=f"{name}-{where.name}", verdict=verdict)
     (stage,) = one.stages
     metrics = tuple(
-        item.model_copy(update={"value": error}) if item.name == "replay_error" else item
+        replace(item, value=error) if item.name == "replay_error" else item
         for item in stage.metrics
     )
-    stage = stage.model_copy(
-        update={
-            "cost": cost,
-            "verdict": verdict,
-            "metrics": metrics,
-            "options": {**stage.options, **options},
-        }
+    stage = replace(
+        stage, cost=cost, verdict=verdict, metrics=metrics, options={**stage.options, **options}
     )
-    return one.model_copy(update={"pipeline": name, "scene": where, "stages": (stage,)})
+    return replace(one, pipeline=name, scene=where, stages=(stage,))
 
 
 def found(*runs: RunRecord) -> list[sweeps.Sweep]:

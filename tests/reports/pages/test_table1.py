@@ -8,11 +8,11 @@ from dataclasses import replace
 import pytest
 from wording import unsaid
 
+from models.results.run import QuantityRecord, RunRecord, SceneRecord
+from reports.load import Stored
 from reports.pages import sweeps, table1
 from reports.pages.section import Report
 from reports.paper import SCENE, TABLE_1, TIGHTENING_FIGURES
-from reports.records.load import Stored
-from reports.records.record import QuantityRecord, RunRecord, SceneRecord
 from reports.rows import rows_of
 from tests.reports import record_factory as factory
 from tests.reports.drawn import Mark, drawn
@@ -162,10 +162,7 @@ def chain(
 ) -> RunRecord:
     """strict_lcp, cold or after another method."""
     last = factory.stage(0 if cold else 1, "strict_lcp", None, None, 0.0)
-    last = last.model_copy(
-        update={"paper": {}, "cost": cost, "metrics": (judged(POSITION, missed),),
-                "seconds": last.seconds.model_copy(update={"total": total})},
-    )  # fmt: skip
+    last = replace(last, paper={}, cost=cost, metrics=(judged(POSITION, missed),), seconds=replace(last.seconds, total=total))  # fmt: skip
     before = ran(first, kind="indirect", cost=1.0).stages[0]
     stages = (last,) if cold else (before, last)
     return factory.run(
@@ -174,7 +171,7 @@ def chain(
 
 
 def test_what_a_warm_start_gives():
-    bare = factory.scene().model_copy(update={"answers": ()})
+    bare = replace(factory.scene(), answers=())
     runs = [
         chain("cold", "", 100.0, 0.1, 8.0, True, bare),
         chain("a+strict", "a", 90.0, 0.2, 2.5, of=bare),
@@ -240,32 +237,24 @@ def test_the_physics_of_gradient_descent_is_exactly_nought():
     ],
 )
 def test_costs_below_the_best_known_are_bought_with_error(cost: float | None, below: bool):
-    known = factory.scene().model_copy(
-        update={"answers": (QuantityRecord(name="best known cost", unit="1", value=100.0),)}
+    known = replace(
+        factory.scene(), answers=(QuantityRecord(name="best known cost", unit="1", value=100.0),)
     )
     found = said(ran("cheap", judged(GRID, 0.13), cost=cost, of=known))
     price = f"{cost:.2f}" if cost else ""
     start = f"The best known cost of an exact plan is 100.00. Plans of direct methods below it buy their cost with terminal error on their own grid: cheap ({price} at 0.13 m)."
     assert [line.startswith(start) for line in found] == ([True] if below else [])
     assert said(ran("cheap", judged(GRID, 0.13), cost=cost, of=known, kind="indirect")) == []
-    assert (
-        said(
-            ran("cheap", judged(GRID, 0.13), cost=cost, of=known.model_copy(update={"answers": ()}))
-        )
-        == []
-    )
+    assert said(ran("cheap", judged(GRID, 0.13), cost=cost, of=replace(known, answers=()))) == []
 
 
 def timed(name: str, ours: float, theirs: float) -> RunRecord:
     run = beside(name, 100.0, 100.0)
     (stage,) = run.stages
-    stage = stage.model_copy(
-        update={
-            "paper": {"cost": 100.0, "time": theirs},
-            "seconds": stage.seconds.model_copy(update={"stage": ours}),
-        }
+    stage = replace(
+        stage, paper={"cost": 100.0, "time": theirs}, seconds=replace(stage.seconds, wall=ours)
     )
-    return run.model_copy(update={"stages": (stage,)})
+    return replace(run, stages=(stage,))
 
 
 def test_clocks_are_compared_over_the_rows_that_both_have():
@@ -328,10 +317,8 @@ def test_where_feedback_is_judged_the_inputs_alone_stand_beside_it():
         paper=THEIRS,
     )
     (stage,) = run.stages
-    stage = stage.model_copy(
-        update={"replay": stage.replay.model_copy(update={"judged": "feedback"})}
-    )
-    ends = table1.build(report(run.model_copy(update={"stages": (stage,)}))).values["rows"][0][1]
+    stage = replace(stage, replay=replace(stage.replay, judged="feedback"))
+    ends = table1.build(report(replace(run, stages=(stage,)))).values["rows"][0][1]
     assert (
         ends["replay"].position,
         ends["replay"].alone,
@@ -397,12 +384,7 @@ def relaxed(tmp_path, name: str, schedule: dict[float, float], paper: bool = Fal
             cost=None,
         ).stages[0]
         stages.append(
-            one.model_copy(
-                update={
-                    "index": place, "has_plan": True, "method_title": "Softplus",
-                    "paper": {"cost": 1.0} if paper else {}, "options": {"of": name},
-                },
-            ),
+            replace(one, index=place, has_plan=True, method_title="Softplus", paper={"cost": 1.0} if paper else {}, options={"of": name}),
         )  # fmt: skip
     run = factory.run(name, None, "strict_lcp", stages=tuple(stages), key=name)
     folder = tmp_path / "runs" / name

@@ -2,10 +2,10 @@
 
 import pytest
 
+from models.results.run import ViolationPoint
+from reports.load import Stored
 from reports.pages import violation
 from reports.pages.section import Report, Section
-from reports.records.load import Stored
-from reports.records.record import ViolationPoint
 from tests.reports import record_factory as factory
 from tests.reports.drawn import Mark, drawn
 from tests.reports.record_factory import ran

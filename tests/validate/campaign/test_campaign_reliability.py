@@ -20,8 +20,9 @@ from killed_campaigns import (
 from standing_cluster import come
 
 from models.catalog import load_scene
+from models.results.run import RunRecord
+from models.results.stored import from_json
 from models.trajectory_netcdf import read_netcdf
-from reports.records.record import RunRecord
 from touchstone_annexes import is_present
 from validate.campaign import campaign
 from validate.campaign.campaign import run_campaign
@@ -123,7 +124,7 @@ def _same(out: Path, whole: Path) -> None:
 
 
 def test_something_is_shared(whole):
-    records = [RunRecord.model_validate_json(content) for content in finished(whole).values()]
+    records = [from_json(RunRecord, content) for content in finished(whole).values()]
     assert (
         sum(any(stage.shared_from for stage in record.stages) for record in records) == 2
     )  # of three chains that begin alike, all but the first
@@ -162,7 +163,7 @@ def test_resumed_after_a_kill(whole, cli, start_cli, tmp_path):
 
 def test_where_nothing_is_shared(whole, cli, tmp_path):
     """A cell in a folder of its own has every stage to itself, this one took over what another chain began with."""
-    records = [RunRecord.model_validate_json(content) for content in finished(whole).values()]
+    records = [from_json(RunRecord, content) for content in finished(whole).values()]
     pipeline = next(record.pipeline for record in records if record.stages[0].shared_from)
     done = cli("all", *CAMPAIGN, "-k", f"={pipeline}", "--out", str(tmp_path))
     assert done.returncode == 0, done.stderr

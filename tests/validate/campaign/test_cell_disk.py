@@ -18,7 +18,7 @@ from killed_campaigns import FAKES_FOLDER
 
 from models.codegen.compiler import find_compiler
 from models.errors import MachineError
-from reports.records.record import RunRecord
+from models.results.run import RunRecord
 from validate.campaign.engine import MODULES
 from validate.campaign.runs import CampaignSettings, select
 from validate.processes.process import Preloaded

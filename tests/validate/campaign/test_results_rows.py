@@ -5,22 +5,16 @@ Rows without a replay, without a run, without a value.
 
 import csv
 import io
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from reports.records.check_record import CheckRecord
-from reports.records.record import (
-    MetricRecord,
-    ReplayRecord,
-    RunRecord,
-    SecondsRecord,
-    ShareRecord,
-    StageRecord,
-    SurveyRecord,
-    ViolationPoint,
-)
+from models.results.check import CheckRecord
+from models.results.robustness import Share, Survey
+from models.results.run import ReplayRecord, RunRecord, Seconds, StageRecord, ViolationPoint
+from models.results.verdict import Metric
 from tests.reports import record_factory as factory
 from validate.campaign.results import (
     CHECKS,
@@ -43,8 +37,8 @@ _FIRST = (
 METRICS = (*_FIRST, *(name for name in metric_names() if name not in (*_FIRST, "cost")))
 
 
-def metric(name: str, value: float | None) -> MetricRecord:
-    return MetricRecord(
+def metric(name: str, value: float | None) -> Metric:
+    return Metric(
         name=name,
         value=value,
         unit="m",
@@ -61,9 +55,9 @@ def stage(**changes: Any) -> StageRecord:
         "index": 6, "method": "relaxed_lcp", "method_title": "another title", "kind": "direct",
         "eps": 1e-4, "outcome": "stalled", "advice": "advice",
         "message": "a message", "cost": 490.1234567890123, "iterations": 77, "solver": "Ipopt",
-        "seconds": SecondsRecord(
-            build=0.5, translate=0.0625, evaluate=1.125, linear_algebra=2.25, solve=3.375,
-            stage=4.5, stage_cpu=5.5, total=6.75, replay=7.875
+        "seconds": Seconds(
+            build=0.5, translate=0.0625, evaluate=1.125, linear_algebra=2.25,
+            wall=4.5, cpu=5.5, total=6.75, replay=7.875
         ),
         "metrics": tuple(metric(name, 0.1 + number) for number, name in enumerate(METRICS)),
         "verdict": "holds with feedback", "why": "because",
@@ -72,10 +66,10 @@ def stage(**changes: Any) -> StageRecord:
             everyday_difference=0.04, events=9, seconds_reference=8.0,
             seconds_everyday=9.0, judged="feedback", growth_rate=11.5,
         ),
-        "survey": SurveyRecord(
-            alone=ShareRecord(arrived=3, samples=256, share=3 / 256, interval=(0.0, 0.1)),
+        "survey": Survey(
+            alone=Share(arrived=3, samples=256, share=3 / 256, interval=(0.0, 0.1)),
             checked=20, differ=1, weakest="gain of u1", sizes=0.375, amount=0.0075,
-            feedback=ShareRecord(arrived=5, samples=64, share=5 / 64, interval=(0.0, 0.2)),
+            feedback=Share(arrived=5, samples=64, share=5 / 64, interval=(0.0, 0.2)),
             unit="1", by="replay_cost",
         ),
     }  # fmt: skip
@@ -83,7 +77,7 @@ def stage(**changes: Any) -> StageRecord:
 
 
 def run_of(template: RunRecord, *stages: StageRecord) -> RunRecord:
-    return template.model_copy(update={"pipeline": "relaxed+strict", "stages": stages})
+    return replace(template, pipeline="relaxed+strict", stages=stages)
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +119,7 @@ def test_every_value_stands_in_its_own_column(template: RunRecord):
 
 def test_what_is_not_known_is_empty(template: RunRecord):
     refused = stage(
-        index=0, outcome="refused", cost=None, eps=None, iterations=0, seconds=SecondsRecord(),
+        index=0, outcome="refused", cost=None, eps=None, iterations=0, seconds=Seconds(),
         metrics=(metric("defect", None),), verdict="not applicable",
         replay=None, survey=None,
     )  # fmt: skip
@@ -138,7 +132,7 @@ def test_what_is_not_known_is_empty(template: RunRecord):
     assert {name: value for name, value in first.items() if value} == known
     assert second["stage"] == "2"
     assert rows([run_of(template, refused)])[0]["iterations"] is None
-    brief = stage(seconds=SecondsRecord(stage=0.25), iterations=0)
+    brief = stage(seconds=Seconds(wall=0.25), iterations=0)
     assert rows([run_of(template, brief)])[0]["iterations"] == 0
 
 
@@ -149,14 +143,8 @@ def test_a_check_is_told_by_what_it_found_or_by_why_it_did_not():
         wall_seconds=1.5, cpu_seconds=2.5, expected="a sound FMU passes",
         provenance=factory.provenance(),
     )  # fmt: skip
-    other = one.model_copy(
-        update={
-            "name": "other",
-            "outcome": "crashed",
-            "passed": False,
-            "found": "",
-            "message": "signal 11",
-        }
+    other = replace(
+        one, name="other", outcome="crashed", passed=False, found="", message="signal 11"
     )
     found = read(tables((), [one, other], ())[CHECKS])
     assert found[0] == {

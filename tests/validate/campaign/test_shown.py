@@ -276,8 +276,8 @@ def test_a_page_is_drawn_from_the_plan_its_replay_and_that_with_feedback(drawn: 
     assert "odd strange" in run.stages[0].message
     # 1 + 10 of the inputs alone, and 100 + 1000 with feedback.
     assert run.stages[0].seconds.replay == 1111.0
-    assert run.wall_seconds == run.stages[0].seconds.stage + 1111.0
-    assert run.cpu_seconds == run.stages[0].seconds.stage_cpu + 1111.0
+    assert run.wall_seconds == run.stages[0].seconds.wall + 1111.0
+    assert run.cpu_seconds == run.stages[0].seconds.cpu + 1111.0
     plan, replayed, followed = (
         next(columns for name, columns in files.items() if word in name)
         for word in ("trajectory", "replay", "tracked")
@@ -310,7 +310,7 @@ def test_what_a_plan_does_not_say_is_not_drawn(missing: frozenset[str], drawn: l
     assert ({"q1", "gap_left", "lam_left"} & columns.keys() == set()) is (
         missing == {"q", "v", "lam"}
     )
-    assert (run.stages[0].seconds.replay, run.wall_seconds) == (0.0, run.stages[0].seconds.stage)
+    assert (run.stages[0].seconds.replay, run.wall_seconds) == (0.0, run.stages[0].seconds.wall)
 
 
 def test_without_a_plan_and_with_a_replay_of_no_row_nothing_is_drawn(drawn: list[Any]):
@@ -465,7 +465,7 @@ def test_a_solution_is_shown_with_its_method_and_that_nobody_judged_it(drawn: li
         "softplus_dc, eps 0.001", False, "indirect", "softplus_dc", 1e-3,
     )  # fmt: skip
     assert run.pipeline_title == run.stages[0].method_title != ""
-    assert (len(files), run.stages[0].seconds.stage, run.stages[0].seconds.stage_cpu) == (
+    assert (len(files), run.stages[0].seconds.wall, run.stages[0].seconds.cpu) == (
         1,
         3.0,
         2.0,

@@ -100,7 +100,7 @@ SOLVERS = {"torch", "pyomo", "cyipopt", "scipy", "sksundae"}
         ),
         (
             ("replay", "plan.csv", "--scene", "two_body_collision"),
-            {"pydantic", "reports.records", "h5py", "numpy.ma", "numpy.f2py", "unittest"},
+            {"pydantic", "models.results.stored", "h5py", "numpy.ma", "numpy.f2py", "unittest"},
         ),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",

@@ -2,12 +2,14 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from models.results.run import TrackedRecord
+from models.results.verdict import Metric, Question
 from reports.judged import cause_of_stage
-from reports.records.record import MetricRecord, TrackedRecord
 from tests.reports import record_factory as factory
 from validate.campaign.stored import stored_names, title_of
 from validate.cli.verdict import print_score, print_verdict
@@ -18,46 +20,46 @@ def test_a_run_that_holds_with_feedback_shows_both_ends(cli, tmp_path: Path):
     run = factory.run("strict", None, "strict_lcp", verdict="holds with feedback")
     (stage,) = run.stages
     metrics = (
-        MetricRecord(
+        Metric(
             name="cost",
             value=-0.0,
             unit="1",
             meaning="m",
-            question=2,
+            question=Question.GOAL,
             reason="no way is known to be cheap",
         ),
-        MetricRecord(
-            name="replay_error", value=0.6, unit="m", meaning="m", question=4, limit=0.01, ok=False
+        Metric(
+            name="replay_error",
+            value=0.6,
+            unit="m",
+            meaning="m",
+            question=Question.MOTION,
+            limit=0.01,
+            ok=False,
         ),
-        MetricRecord(
+        Metric(
             name="tracked_replay_error",
             value=0.004,
             unit="m",
             meaning="m",
-            question=4,
+            question=Question.MOTION,
             limit=0.01,
             ok=True,
             error=1e-9,
         ),
     )
-    replay = stage.replay.model_copy(
-        update={"judged": "feedback", "tracked": TrackedRecord(error_estimate=1e-9)}
-    )
+    replay = replace(stage.replay, judged="feedback", tracked=TrackedRecord(error_estimate=1e-9))
     changes = {
         "verdict": "holds with feedback",
         "why": "with LQR feedback it holds.",
         "metrics": metrics,
         "replay": replay,
     }
-    stage = stage.model_copy(
-        update={**changes, "not_asked": ("ghost_impulse: the plan says no forces.",)}
+    stage = replace(stage, **{**changes, "not_asked": ("ghost_impulse: the plan says no forces.",)})
+    scene = replace(
+        run.scene, waived=("cost: no way is known to be cheap",), unstable="It falls over."
     )
-    scene = run.scene.model_copy(
-        update={"waived": ("cost: no way is known to be cheap",), "unstable": "It falls over."}
-    )
-    folder = factory.store(
-        tmp_path / "all", [run.model_copy(update={"stages": (stage,), "scene": scene})]
-    )
+    folder = factory.store(tmp_path / "all", [replace(run, stages=(stage,), scene=scene)])
     done = cli("show", "three_cart x strict", "--in", str(folder), "--wide")
     lines = [" ".join(line.split()) for line in done.stdout.splitlines()]
     assert lines[:2] == [
@@ -127,18 +129,18 @@ def test_the_default_limit_of_what_could_not_be_measured_is_not_known(
 ):
     """It is made of what could not be measured; a limit that the scene set is told."""
     monkeypatch.setenv("COLUMNS", "300")
-    metric = MetricRecord(
+    metric = Metric(
         name="max_penetration",
         value=value,
         unit="m",
         meaning="depth",
-        question=5,
+        question=Question.POSSIBLE,
         limit=0.25,
         default=default,
     )
     (stage,) = factory.run("strict", None, "strict_lcp").stages
     changes = {"metrics": (metric,), "not_asked": ()}
-    print_score(stage.model_copy(update=changes))
+    print_score(replace(stage, **changes))
     heads, _, row = capsys.readouterr().out.splitlines()[-3:]
     place = re.search(r"\blimit\b", heads)
     assert place is not None
@@ -148,19 +150,19 @@ def test_the_default_limit_of_what_could_not_be_measured_is_not_known(
 @pytest.mark.parametrize("width", [80, 100])
 def test_verdict_metric_and_cause_come_before_a_table_that_fits(monkeypatch, capsys, width: int):
     monkeypatch.setenv("COLUMNS", str(width))
-    beyond = MetricRecord(
+    beyond = Metric(
         name="replay_terminal_position_error",
         value=0.31,
         unit="m",
         meaning="distance of the end of the replay from the goal, in all positions",
-        question=4,
+        question=Question.MOTION,
         limit=0.01,
         ok=False,
         reason="a reason that is longer than a line of a terminal has room for " * 3,
     )
     (stage,) = factory.run("strict", None, "strict_lcp").stages
     changes = {"metrics": (beyond,), "verdict": "violates", "why": "it ends 0.31 m off."}
-    stage = stage.model_copy(update=changes | {"cause": "coarse grid", "questions": ()})
+    stage = replace(stage, **(changes | {"cause": "coarse grid", "questions": ()}))
     print_verdict(stage.verdict, stage.why, stage, cause_of_stage(stage))
     print_score(stage)
     lines = capsys.readouterr().out.splitlines()

@@ -7,6 +7,7 @@ and where there are no colours.
 import functools
 import io
 import re
+from dataclasses import replace
 
 import click
 import pytest
@@ -178,9 +179,10 @@ def test_a_time_is_told_as_roughly_as_it_is_known(seconds, words):
 
 
 def refused(pipeline: str, why: str):
-    return factory.run(
-        pipeline, None, "strict_lcp", outcome="refused", verdict="not applicable"
-    ).model_copy(update={"message": why})
+    return replace(
+        factory.run(pipeline, None, "strict_lcp", outcome="refused", verdict="not applicable"),
+        message=why,
+    )
 
 
 def test_what_does_not_apply_to_a_scene_is_told_once_for_each_reason_when_its_runs_have_ended(

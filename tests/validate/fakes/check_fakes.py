@@ -11,8 +11,8 @@ from dataclasses import replace
 import campaign_fakes
 
 from models.errors import TouchstoneError
+from models.results.verdict import Metric
 from models.scene.text import scene_text
-from reports.records.record import MetricRecord
 from validate.tasks.check import Course, Found
 from validate.tasks.task import CheckTask, SceneReference
 
@@ -39,7 +39,7 @@ def ask(arguments: Mapping[str, str], course: Course) -> Found:
         file.write(f"{arguments['says']}\n")
     course.at(f"the question {arguments['says']}")
     _MISBEHAVIOUR.get(arguments["says"], lambda: None)()
-    figure = MetricRecord(
+    figure = Metric(
         name="patience", value=course.seconds_left, unit="s", meaning="what is left of its time"
     )
     return Found(arguments["says"] == "yes", f"it says {arguments['says']}.", (figure,))

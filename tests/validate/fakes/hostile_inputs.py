@@ -39,7 +39,7 @@ from hostile_records import (
 )  # fmt: skip
 
 from models.errors import TouchstoneError
-from reports.records.load import ReportError
+from reports.load import ReportError
 
 HANG = 20.0  # [s of CPU]; every good file is read in less than a tenth
 _ASLEEP = 600.0  # [s]; whoever waits for something needs no CPU

@@ -13,6 +13,7 @@ import numpy as np
 from hostile_mutations import spoilt_bytes, spoilt_json, spoilt_text
 
 from models.errors import TouchstoneError
+from models.results.verdict import Question
 
 KEY = "a" * 64
 
@@ -40,7 +41,7 @@ def good_record() -> dict[str, Any]:
         "value": 1.0,
         "unit": "N^2",
         "meaning": "m",
-        "question": 3,
+        "question": Question.FORCES,
         "error": 0.1,
         "limit": 2.0,
         "ok": True,
@@ -86,7 +87,7 @@ def read_record(path: Path) -> None:
     import contextlib
     import os
 
-    from reports.records.load import load
+    from reports.load import load
     from validate.campaign.results import tables
     from validate.campaign.stored import campaign_of
     from validate.cli.show import command

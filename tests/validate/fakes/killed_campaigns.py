@@ -19,6 +19,8 @@ from typing import Any
 
 import psutil
 
+from models.results.stored import from_json
+
 FAKES_FOLDER = Path(__file__).parent
 # Cells that end well, badly, slowly, in a crash that is run anew by every resumption, and with
 # processes left over; most of them share stages.
@@ -138,10 +140,10 @@ def _as_it_ended(content: bytes) -> bytes:
 
 def records(out: Path) -> dict[str, Any]:
     """The records of its runs, by pipeline."""
-    from reports.records.record import RunRecord
+    from models.results.run import RunRecord
 
     paths = (out / "runs").glob("[!.]*/record.json")
-    found = [RunRecord.model_validate_json(path.read_bytes()) for path in paths]
+    found = [from_json(RunRecord, path.read_bytes()) for path in paths]
     return {record.pipeline: record for record in found}
 
 
@@ -339,9 +341,9 @@ def _look_at_words(out: Path, code: int, told: str, before: dict[str, bytes], se
 
 
 def _outcomes(content: bytes) -> set[str]:
-    from reports.records.check_record import StoredRecord
+    from models.results.stored import record_of
 
-    record = StoredRecord.model_validate_json(content).root
+    record = record_of(content)
     return {
         record.outcome,
         *(stage.outcome for stage in getattr(record, "stages", ())),
@@ -349,7 +351,7 @@ def _outcomes(content: bytes) -> set[str]:
 
 
 def _look(out: Path, before: dict[str, bytes], seen: Kills) -> None:
-    from reports.records.check_record import StoredRecord
+    from models.results.stored import record_of
 
     see_gone(lambda: family(out), seen, "processes")
     if "TMPDIR" in os.environ:
@@ -357,7 +359,7 @@ def _look(out: Path, before: dict[str, bytes], seen: Kills) -> None:
     now = finished(out)
     for key, content in now.items():
         try:
-            record = StoredRecord.model_validate_json(content).root
+            record = record_of(content)
         except ValueError as error:
             seen.blame(Fault.CORRUPT, f"the record of {key}: {error}")
             continue

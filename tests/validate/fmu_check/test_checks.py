@@ -14,8 +14,9 @@ from wording import unsaid
 import models.fmu
 import validate.tasks.fmu_checks
 from models.catalog import load_scene, scene_names
+from models.results.check import CheckRecord
+from models.results.stored import from_json, record_of
 from models.scene.text import scene_text
-from reports.records.check_record import CheckRecord, StoredRecord
 from validate.campaign.runs import CampaignSettings, scene_cost, select
 from validate.campaign.stored import CampaignError
 from validate.fmu_check import DECISIVE
@@ -41,7 +42,7 @@ FAKES = (
 
 def _records(out: Path) -> dict[str, CheckRecord]:
     texts = [path.read_bytes() for path in out.glob("runs/*/record.json")]
-    records = [CheckRecord.model_validate_json(text) for text in texts if b'"pipeline"' not in text]
+    records = [from_json(CheckRecord, text) for text in texts if b'"pipeline"' not in text]
     return {record.name.partition(" ")[0]: record for record in records}
 
 
@@ -178,10 +179,7 @@ def test_a_campaign_checks_an_fmu_stores_it_and_tells_of_it(cli, tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     assert "FMU: 1 of 1 checks passed" in done.stdout
     assert "[1/1] FMU: bouncing_mass, FMI 2.0: passed, " in done.stderr
-    (record,) = (
-        StoredRecord.model_validate_json(path.read_bytes()).root
-        for path in tmp_path.glob("runs/*/record.json")
-    )
+    (record,) = (record_of(path.read_bytes()) for path in tmp_path.glob("runs/*/record.json"))
     assert record.fmu.count("failed") == 0
     assert {row.name for row in record.fmu.rows} == set(DECISIVE) | {"starts and ends"}
     assert record.fmu.count("passed") > 10

@@ -11,12 +11,14 @@ import tempfile
 import threading
 import uuid
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from models.errors import MachineError
-from reports.records.record import RunRecord
+from models.results.run import RunRecord
+from models.results.stored import to_json
 from tests.reports import record_factory as factory
 from validate.campaign.campaign import run_campaign
 from validate.campaign.runs import CampaignSettings
@@ -93,14 +95,14 @@ def disk(monkeypatch, tmp_path) -> Disk:
 
 
 def record(message: str) -> RunRecord:
-    return RUN.model_copy(update={"message": message})
+    return replace(RUN, message=message)
 
 
 def _put(store: Store, record: RunRecord) -> None:
     """As a Worker does it."""
     partial = store.open_partial(record.key, uuid.uuid4().hex)
     try:
-        write_durably(partial / RECORD, record.model_dump_json())
+        write_durably(partial / RECORD, to_json(record))
         write_durably(partial / "log.txt", "")
         store.commit(partial, record.key)
     finally:
@@ -216,7 +218,7 @@ def test_many_may_store_the_same_cell_at_once(tmp_path):
         try:
             for turn in range(25):
                 partial = store.open_partial(runs[number].key, f"token{number}x{turn}")
-                (partial / RECORD).write_text(runs[number].model_dump_json())
+                (partial / RECORD).write_text(to_json(runs[number]))
                 store.commit(partial, runs[number].key)
         except BaseException as error:  # noqa: BLE001 - told below, in the thread of the test
             problems.append(error)

@@ -8,13 +8,15 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from models.errors import MachineError
-from reports.records.check_record import CheckRecord
-from reports.records.record import LegRecord, RunRecord
+from models.results.check import CheckRecord
+from models.results.run import LegRecord, RunRecord
+from models.results.stored import from_json, to_json
 from tests.reports import record_factory as factory
 from validate.campaign.runs import CampaignSettings, only_last_failed, reasons, select, with_stored
 from validate.campaign.stored import (
@@ -89,7 +91,7 @@ def put(
     folder = store.runs / name
     folder.mkdir()
     if record is not None:
-        (folder / RECORD).write_text(record.model_dump_json())  # type: ignore[attr-defined]
+        (folder / RECORD).write_text(to_json(record))  # type: ignore[attr-defined]
     if cell is not None:
         (folder / REQUEST).write_text(json.dumps({"task": cell}))
     if files is not None:
@@ -121,7 +123,7 @@ def test_a_record_of_another_key_is_not_the_tasks(store: Store):
     put(store, run.key, run)
     put(store, "other", run)
     assert store.read(run.key) == run
-    record = put(store, "damaged", run.model_copy(update={"key": "damaged"})) / RECORD
+    record = put(store, "damaged", replace(run, key="damaged")) / RECORD
     record.write_text(record.read_text()[:-10])
     assert store.read("damaged") is None
     assert store.read("other") is store.read("nowhere") is store.read("\0") is None
@@ -346,7 +348,7 @@ def _stored(
     partial = store.open_partial(record.key, "token")
     for name in files:
         (partial / name).write_text(name)
-    (partial / "record.json").write_text(record.model_dump_json())
+    (partial / "record.json").write_text(to_json(record))
     (partial / "task.json").write_text(json.dumps({"task": {"time_limit": time_limit}}))
     return store.commit(partial, record.key)
 
@@ -375,9 +377,7 @@ def test_a_certificate_that_time_took_is_made_when_there_is_more(
     partial = tmp_path / "run"
     (leg,) = entry.task.legs
     place(partial, 1).mkdir(parents=True)
-    stages = tuple(
-        stage.model_copy(update={"certificate_missing": True}) for stage in record.stages
-    )
+    stages = tuple(replace(stage, certificate_missing=True) for stage in record.stages)
     write_leg(
         place(partial, 1), LegRecord(key=leg.key, pipeline="relu_gd", stages=stages, files={})
     )
@@ -427,8 +427,8 @@ def test_what_failed_and_is_not_selected_is_named_three_at_most(failures: int, t
     for number in range(6):
         verdict = "violates" if number < failures else "holds"
         run = factory.run("strict", None, "strict_lcp", key=f"strict-{number}", verdict=verdict)
-        stages = tuple(stage.model_copy(update={"verdict": verdict}) for stage in run.stages)
-        runs.append(run.model_copy(update={"pipeline": f"p{number}", "stages": stages}))
+        stages = tuple(replace(stage, verdict=verdict) for stage in run.stages)
+        runs.append(replace(run, pipeline=f"p{number}", stages=stages))
     store = _store_of(tmp_path, runs, [run.pipeline for run in runs])
     with pytest.raises(CampaignError, match="nothing that is selected failed") as error:
         only_last_failed((), store)
@@ -443,10 +443,10 @@ def test_what_failed_and_is_not_selected_is_named_three_at_most(failures: int, t
 def test_what_a_campaign_is_does_not_depend_on_when_and_how_it_was_called() -> None:
     told = factory.campaign(factory.runs()[:2])
     called = {"command": "second", "started": "2", "provenance": factory.provenance(cpu="another")}
-    read = type(told).model_validate_json(told.model_copy(update=called).model_dump_json())
+    read = from_json(type(told), to_json(replace(told, **called)))
     assert same_campaign(told, read)
     for change in ({"keys": told.keys[:1]}, {"quick": not told.quick}, {"title": "another"}):
-        assert not same_campaign(told, read.model_copy(update=change))
+        assert not same_campaign(told, replace(read, **change))
 
 
 def _asked(pipeline: str) -> dict:

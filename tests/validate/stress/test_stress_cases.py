@@ -14,7 +14,8 @@ import pytest
 from formulations.pipelines import method_names
 from models.catalog import scene_names
 from models.errors import TouchstoneError, UnknownNameError
-from reports.records.check_record import CheckRecord
+from models.results.check import CheckRecord
+from models.results.stored import from_json, to_json
 from reports.rule import failures
 from validate.store.provenance import gather
 from validate.stress.case import (
@@ -58,7 +59,7 @@ def record_of(name: str, found: Found) -> CheckRecord:
         cpu_seconds=1.0,
         provenance=gather("a test"), **found.details,
     )  # fmt: skip
-    return CheckRecord.model_validate_json(record.model_dump_json())
+    return from_json(CheckRecord, to_json(record))
 
 
 @pytest.mark.slow

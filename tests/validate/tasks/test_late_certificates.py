@@ -10,7 +10,8 @@ import pytest
 from killed_campaigns import FAKES_FOLDER
 from wording import unsaid
 
-from reports.records.record import RunRecord
+from models.results.run import RunRecord
+from models.results.stored import from_json
 from validate.campaign.engine import MODULES
 from validate.campaign.results import rows
 from validate.processes.disk import PARTIAL
@@ -67,10 +68,7 @@ def _run(
 
     record = worker.run(wanted=look)
     assert isinstance(record, RunRecord)
-    assert (
-        RunRecord.model_validate_json((store.runs / task.key / "record.json").read_bytes())
-        == record
-    )
+    assert from_json(RunRecord, (store.runs / task.key / "record.json").read_bytes()) == record
     return record, store.runs / task.key
 
 

@@ -28,13 +28,14 @@ import uuid
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
 from models.errors import MachineError
-from reports.records.record import ProvenanceRecord
+from models.results.run import ProvenanceRecord
+from models.results.stored import to_json
 from validate.campaign.engine import (
     CAMPAIGN,
     EngineError,
@@ -204,7 +205,7 @@ def run_on_worker(
             (store.runs / mark / f"{name}-{uuid.uuid4().hex}").touch()
         if getattr(_OF_THREAD, "preloaded", None) is None:  # first task, or not worth it before
             _OF_THREAD.preloaded = preloaded_for(tasks)
-        here = provenance.model_copy(update=machine())
+        here = replace(provenance, **machine())
         return Worker(task, here, store, preloaded=_OF_THREAD.preloaded, token_begins=token).run(
             wanted
         )
@@ -389,7 +390,7 @@ class DaskEngine:
         )
         write_request(folder, task, context.provenance)
         write_durably(folder / LOG, "")
-        write_durably(folder / RECORD, record.model_dump_json())
+        write_durably(folder / RECORD, to_json(record))
         context.store.commit(folder, record.key)
         return record
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from models.plan_table import Table
+from models.results.run import Effort
 from models.trajectory import Hold, Trajectory, input_share
 
 # Outputs used in addition to positions and velocities; missing ones are computed or omitted.
@@ -101,25 +102,6 @@ class Feedback:
             u=c * self.u + d,
             lower=bounds[0], upper=bounds[1], scale=np.abs(c) * self.scale,
         )  # fmt: skip
-
-
-@dataclass(frozen=True, kw_only=True)
-class Effort:
-    """Corrections by feedback.
-
-    - rms, peak: of each input over time, in its unit.
-    - rms_share, peak_share: largest over the inputs, in their scale.
-    - plan_share: rms of corrections over rms of the plan's inputs, averaged over windows
-      (models.trajectory.input_share).
-    - saturated: fraction of steps at a bound because of a correction.
-    """
-
-    rms: tuple[float, ...]
-    peak: tuple[float, ...]
-    rms_share: float
-    peak_share: float
-    plan_share: float | None
-    saturated: float
 
 
 def measure_effort(plan: Trajectory, applied: np.ndarray, feedback: Feedback) -> Effort:

@@ -4,7 +4,7 @@ from validate.judge.robustness import robustness
 robustness("three_cart", "plan.csv").alone.share
 """
 
-from validate.judge.robustness.robustness import SAMPLES, Robustness, Survey, robustness, survey
-from validate.judge.robustness.worlds import PerturbationKind
+from models.results.robustness import PerturbationKind, Survey
+from validate.judge.robustness.robustness import SAMPLES, Robustness, robustness, survey
 
 __all__ = ["SAMPLES", "PerturbationKind", "Robustness", "Survey", "robustness", "survey"]

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -24,6 +23,17 @@ import numpy as np
 
 from models.catalog import as_scene
 from models.errors import TrajectoryError
+from models.results.robustness import (
+    Checked,
+    FirstFailure,
+    Perturbation,
+    PerturbationKind,
+    RobustnessRecord,
+    Share,
+    Survey,
+    Way,
+)
+from models.results.verdict import Verdict
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.judge.judgement import Judgement, WiredFmu, as_trajectory, judge
@@ -34,15 +44,7 @@ from validate.judge.robustness.trials import (
     WorldTrial,
     asked_limits,
 )
-from validate.judge.robustness.worlds import (
-    Draw,
-    Perturbation,
-    PerturbationKind,
-    draw,
-    moved,
-    perturbations,
-)
-from validate.judge.score.verdict import Verdict
+from validate.judge.robustness.worlds import Draw, draw, moved, perturbations
 
 SAMPLES = 1000
 MOST = 1_000_000
@@ -60,143 +62,26 @@ _FACTOR = math.sqrt(2.0)
 FARTHEST = 64.0
 # Relative width of the bisected interval.
 _WITHIN = 0.01
-# Two-sided 95 % quantile of the normal distribution.
-_Z95 = 1.959963984540054
 # Fewest worlds.
 _LEAST = 10
 # One of this many worlds is tried with feedback too, which is ten times as expensive.
 OF_FEEDBACK = 4
 
 
-@dataclass(frozen=True, kw_only=True)
-class Share:
-    """Number of worlds in which a plan arrives, with Wilson's 95 % interval."""
-
-    arrived: int
-    samples: int
-
-    @property
-    def share(self) -> float:
-        """Return the fraction that arrives [-], 0 of none."""
-        return self.arrived / max(self.samples, 1)
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Return the lower and upper end (Wilson, 1927)."""
-        if not self.samples:
-            return 0.0, 1.0
-        n, share, z2 = self.samples, self.share, _Z95**2
-        middle, half = (
-            share + z2 / (2 * n),
-            _Z95 * math.sqrt(share * (1 - share) / n + z2 / (4 * n * n)),
-        )
-        low, high = ((middle + sign * half) / (1 + z2 / n) for sign in (-1, 1))
-        return (0.0 if self.arrived == 0 else low), (1.0 if self.arrived == n else high)
-
-
-@dataclass(frozen=True, kw_only=True)
-class FirstFailure:
-    """The size of one perturbation, in one direction, at which the plan first fails.
-
-    sizes: in sizes of the perturbation, None if the plan arrives up to `tried`; by: the failing
-    metric. The plan is driven as it holds.
-    """
-
-    cause: Perturbation
-    direction: int
-    sizes: float | None
-    tried: float
-    by: str
-
-    @property
-    def amount(self) -> float | None:
-        """Return the perturbation there [unit of the perturbation]."""
-        return None if self.sizes is None else self.direction * self.sizes * self.cause.size
-
-
-@dataclass(frozen=True, kw_only=True)
-class Checked:
-    """Repeated worlds: count, and for different ones their number and both shares."""
-
-    count: int
-    differ: tuple[tuple[int, float, float], ...]
-    largest_difference: float
-    by: str
-
-
 @dataclass(kw_only=True, eq=False)
-class Way:
-    """One way to drive the plan: "inputs alone" or "with feedback".
+class TriedWay(Way):
+    """A way to drive the plan; tried: per world the largest metric, as a share of its limit."""
 
-    tried: per world the largest metric, as a share of its limit.
-    """
-
-    name: str
     tried: list[float] = field(default_factory=list)
-    fails_by: Counter[str] = field(default_factory=Counter)
-    checked: Checked | None = None
-
-    @property
-    def share(self) -> Share:
-        """Return the share of worlds in which the plan arrives."""
-        return Share(arrived=sum(ratio <= 1.0 for ratio in self.tried), samples=len(self.tried))
 
 
 @dataclass(kw_only=True, eq=False)
-class Robustness:
-    """Measurements of a plan, filled as they are made; complete is False if interrupted.
-
-    - fineness: internal steps per plan step.
-    - ways: inputs alone, then with feedback.
-    - trials: replays in all.
-    - seconds: CPU time [s].
-    - points (samples, causes): worlds in sizes.
-    """
+class Robustness(RobustnessRecord):
+    """Measurements of a plan; points (samples, causes): worlds in sizes."""
 
     judgement: Judgement
-    causes: tuple[Perturbation, ...]
-    seed: int
     points: np.ndarray
-    ways: list[Way] = field(default_factory=lambda: [Way(name="inputs alone")])
-    failures: list[FirstFailure] = field(default_factory=list)
-    fineness: int = 0
-    trials: int = 0
-    seconds: float = 0.0
-    complete: bool = True
-
-    @property
-    def scene(self) -> str:
-        """Return the scene's name."""
-        return self.judgement.scene.name
-
-    @property
-    def verdict(self) -> Verdict:
-        """Return the plan's verdict in the scene's own world."""
-        return self.judgement.verdict
-
-    @property
-    def followed(self) -> bool:
-        """Return whether failures are those with feedback, as the plan holds only with it."""
-        return self.verdict is Verdict.HOLDS_WITH_FEEDBACK
-
-    @property
-    def alone(self) -> Way:
-        """Return the results of the inputs alone."""
-        return self.ways[0]
-
-    @property
-    def feedback(self) -> Way | None:
-        """Return the results with feedback, None without states or if interrupted before."""
-        return self.ways[1] if len(self.ways) > 1 else None
-
-    @property
-    def weakest(self) -> FirstFailure | None:
-        """Return the failure at the smallest size."""
-        return min(
-            (item for item in self.failures if item.sizes is not None),
-            key=lambda item: item.sizes or 0.0,
-            default=None,
-        )
+    ways: list[TriedWay] = field(default_factory=lambda: [TriedWay(name="inputs alone")])  # type: ignore[assignment] - a list that only this module fills
 
 
 def robustness(
@@ -264,7 +149,10 @@ def robustness(
             f"plan: it does not hold to begin with ({judgement.score.sentence.rstrip('.')}). Measure its robustness all the same with --anyway (anyway=True)."
         )
     began, worlds = time.process_time(), draw(causes, samples, seed)
-    result = Robustness(judgement=judgement, causes=causes, seed=seed, points=worlds.points)
+    result = Robustness(
+        scene=judgement.scene.name, verdict=judgement.verdict, judgement=judgement, causes=causes,
+        seed=seed, points=worlds.points,
+    )  # fmt: skip
     with arena_of(asked_limits(judgement.score), followed=result.followed) as arena:
         try:
             _measure(arena, worlds, result, tell)
@@ -282,18 +170,21 @@ def _measure(arena: Arena, worlds: Draw, result: Robustness, tell: Callable[[str
     samples = len(worlds.points)
     for feedback in (False,) if arena.feedback is None else (False, True):
         way, count = (
-            (Way(name="with feedback"), max(_LEAST, samples // OF_FEEDBACK))
+            (TriedWay(name="with feedback"), max(_LEAST, samples // OF_FEEDBACK))
             if feedback
-            else (result.alone, samples)
+            else (result.ways[0], samples)
         )
         tell(f"{count} worlds, {way.name}")
-        for number in range(count):
-            trial = arena.trial(worlds.world(number, arena.nominal), feedback=feedback)
-            way.tried.append(trial.ratio)
-            if way not in result.ways:
-                result.ways.append(way)
-            if not trial.arrives:
-                way.fails_by[trial.fails_by] += 1
+        try:
+            for number in range(count):
+                trial = arena.trial(worlds.world(number, arena.nominal), feedback=feedback)
+                way.tried.append(trial.ratio)
+                if way not in result.ways:
+                    result.ways.append(way)
+                if not trial.arrives:
+                    way.fails_by[trial.fails_by] = way.fails_by.get(trial.fails_by, 0) + 1
+        finally:  # after Ctrl-C too
+            way.share = Share.of(way.tried)
     for feedback, way in enumerate(result.ways):
         tell(f"some of these {arena.by} too")
         way.checked = check_by_reference(arena, worlds, way.tried, bool(feedback))
@@ -359,6 +250,7 @@ def _failures(arena: Arena, cause: Perturbation) -> Iterable[FirstFailure]:
             cause=cause,
             direction=direction,
             sizes=sizes,
+            amount=None if sizes is None else direction * sizes * cause.size,
             tried=tried,
             by="" if failed is None else failed.fails_by,
         )
@@ -404,27 +296,6 @@ MOST_STEPS = 2**19
 SEED = 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class Survey:
-    """Robustness of a campaign's plan.
-
-    - alone, feedback: shares, feedback None without states.
-    - checked, differ: worlds repeated by the reference, and those that differ.
-    - weakest: the perturbation tolerated least ("": none fails up to 64 sizes), its amount [unit]
-      and failing metric, with feedback if the plan needs it.
-    """
-
-    alone: Share
-    feedback: Share | None
-    checked: int
-    differ: int
-    weakest: str = ""
-    sizes: float | None = None
-    amount: float | None = None
-    unit: str = ""
-    by: str = ""
-
-
 def survey(scene: Scene, plan: Trajectory, limits: Mapping[str, float], followed: bool) -> Survey:
     """Try a plan that holds in the worlds of a campaign, the same for every plan of a scene.
 
@@ -458,7 +329,7 @@ def survey(scene: Scene, plan: Trajectory, limits: Mapping[str, float], followed
                 arena.trial(worlds.world(number, arena.nominal), feedback=feedback).ratio
                 for number in numbers
             ]
-            shares.append(Share(arrived=sum(ratio <= 1.0 for ratio in ratios), samples=len(ratios)))
+            shares.append(Share.of(ratios))
             checks.append(check_by_reference(arena, worlds, ratios, feedback))
         smallest, weakest = FARTHEST, {}
         for cause, direction in product(

@@ -12,11 +12,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 
 from models.errors import TrajectoryError, did_you_mean
+from models.results.robustness import Perturbation, PerturbationKind
 from models.scene import Parameter, Scene
 from models.trajectory import Trajectory, columns_of
 from validate.judge.replay.subject import Subject
@@ -28,36 +28,6 @@ _START = 0.01  # of the nominal
 _GAIN = 0.02  # of the input
 _NOISE = 0.01  # standard deviation, of the input's range
 _DELAY = 1.0  # steps
-
-
-class PerturbationKind(Enum):
-    """Kind of a perturbation."""
-
-    PARAMETERS = "parameters"
-    START = "start"
-    GAIN = "gain"
-    NOISE = "noise"
-    DELAY = "delay"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Perturbation:
-    """One uncertain number of a world.
-
-    - index: place within its kind.
-    - nominal, size: value and uncertainty [unit].
-    - below, above: largest moves down and up, in sizes.
-    """
-
-    kind: PerturbationKind
-    name: str
-    index: int
-    nominal: float
-    size: float
-    unit: str
-    reason: str
-    below: float = math.inf
-    above: float = math.inf
 
 
 def perturbations(

@@ -37,6 +37,7 @@ from validate.judge.score.verdict import (
     Unmeasured,
     Verdict,
     decide,
+    held_to,
     wants_feedback,
 )
 
@@ -267,7 +268,7 @@ def _metric(entry: MetricEntry, case: Evidence) -> Metric:
     if not judged or not math.isfinite(bound):
         why = own.reason if own is not None and waived else ""
         return replace(measured, reason=why, default=True)
-    return measured.held_to(bound, reason, default=empty.default)
+    return held_to(measured, bound, reason, default=empty.default)
 
 
 def _can_be_asked(entry: MetricEntry, case: Evidence) -> bool:

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
-from typing import Literal, TypeAlias
+from typing import Literal
 
 from models.errors import UnknownNameError, did_you_mean
+from models.results.verdict import TRACKED, Answer, Metric, Question, Verdict
 
 
 class Unmeasured(Exception):  # noqa: N818 - a value with a reason, no error
@@ -28,88 +28,6 @@ class LeavesBounds(Unmeasured):
 
 class Contradicted(Unmeasured):
     """An external FMU contradicts its map, which leaves the question open."""
-
-
-class Verdict(Enum):
-    """Verdict on a plan, as the word of tables, files and sentences.
-
-    - `holds`: all questions are answered yes for the inputs alone.
-    - `holds with feedback`: only with limited feedback.
-    - `violates`: one certainly fails.
-    - `undecided`: none fails, one is undecided.
-    - `no plan`: nothing to judge.
-    - `not applicable`: the method does not apply, or neither claims nor goals exist.
-    - `consistent`: nothing is wrong, and there is no goal.
-    """
-
-    HOLDS = "holds"
-    HOLDS_WITH_FEEDBACK = "holds with feedback"
-    VIOLATES = "violates"
-    UNDECIDED = "undecided"
-    NO_PLAN = "no plan"
-    NOT_APPLICABLE = "not applicable"
-    CONSISTENT = "consistent"
-
-    @property
-    def is_good(self) -> bool:
-        """Return whether the plan holds, with or without feedback."""
-        return self in (Verdict.HOLDS, Verdict.HOLDS_WITH_FEEDBACK)
-
-
-class Question(Enum):
-    """Question about a plan, in this order; `JUDGE` is about the replay, `SHOWN` is none."""
-
-    TASK = "Is it a plan of this task?"
-    GOAL = "Does it say that it reaches the goal?"
-    FORCES = "Is what it claims of its velocities and forces physical?"
-    MOTION = "Do its inputs give its motion, and the goal?"
-    POSSIBLE = "Is the replayed motion possible?"
-    SCHEME = "Does it solve its own discrete equations?"
-    JUDGE = "Is the judge well?"
-    SHOWN = ""
-
-    @property
-    def number(self) -> int | None:
-        """Return 1 to 6, None for the last two."""
-        place = list(Question).index(self) + 1
-        return place if place <= 6 else None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Metric:
-    """One metric.
-
-    - value: None if not measured, with `reason`.
-    - error: by the replay's error.
-    - limit: of the scene or the metric, with `reason`, None if not judged.
-    - ok: None if undecided or without a limit.
-    - default: the limit is the metric's own.
-    """
-
-    name: str
-    question: Question
-    value: float | None
-    unit: str
-    meaning: str
-    error: float = 0.0
-    limit: float | None = None
-    reason: str = ""
-    ok: bool | None = None
-    default: bool = True
-
-    @property
-    def is_judged(self) -> bool:
-        """Return whether the metric has a limit."""
-        return self.limit is not None
-
-    def held_to(self, limit: float, reason: str, *, default: bool) -> Metric:
-        """Return the metric judged by a limit. Raises TypeError without a value."""
-        margin = 1.0 if self.question is Question.JUDGE else MARGIN
-        ok = compare(self.value, self.error, limit, margin)  # type: ignore[arg-type]
-        return replace(self, limit=limit, reason=reason, ok=ok, default=default)
-
-
-Answer: TypeAlias = Literal["yes", "no", "undecided", "not asked"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,11 +79,17 @@ class Score:
 MARGIN = 10.0
 EFFORT = "feedback_effort"
 SHARE = "feedback_share"
-TRACKED = "tracked_"
 # Questions about the replay, which need a judge that is well.
 _OF_REPLAY = (Question.MOTION, Question.POSSIBLE)
 # Questions about the plan, which feedback cannot change.
 _NOT_MENDED = (Question.TASK, Question.GOAL, Question.FORCES, Question.SCHEME)
+
+
+def held_to(metric: Metric, limit: float, reason: str, *, default: bool) -> Metric:
+    """Return the metric judged by a limit. Raises TypeError without a value."""
+    margin = 1.0 if metric.question is Question.JUDGE else MARGIN
+    ok = compare(metric.value, metric.error, limit, margin)  # type: ignore[arg-type]
+    return replace(metric, limit=limit, reason=reason, ok=ok, default=default)
 
 
 def compare(value: float, error: float, limit: float, margin: float = MARGIN) -> bool | None:

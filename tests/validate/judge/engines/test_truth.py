@@ -206,9 +206,7 @@ def test_rows_without_a_number_stand_in_the_table():
         EngineAnswer(came=Came.MISSING, why="engine mujoco: not installed"),
         problem.end(),
     )
-    fine = lost.model_copy(
-        update={"engine": "fmu", "came": "cannot express it", "why": "it has no such contact"}
-    )
+    fine = replace(lost, engine="fmu", came="cannot express it", why="it has no such contact")
     record = recorded(("fmu", "mujoco"), [fine, lost])
     assert "cannot express it | not installed" in as_markdown(record, "x")
     assert not reference_is_right(record.rows)

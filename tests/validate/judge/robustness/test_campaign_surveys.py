@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from reports.records.record import RunRecord, SurveyRecord
+from models.results.robustness import Survey
+from models.results.run import RunRecord
+from models.results.stored import to_json
 from tests.reports import record_factory as factory
 from validate.campaign.runs import CampaignSettings, PlannedTask, select, worlds_tasks
 from validate.store.provenance import gather, survey_sources
@@ -27,7 +29,7 @@ def planned(out: Path) -> PlannedTask:
     return entry
 
 
-def tried(store: Store, task: RunTask) -> SurveyRecord:
+def tried(store: Store, task: RunTask) -> Survey:
     folder = store.runs / ".unfinished"
     folder.mkdir(exist_ok=True)
     record = survey_run(task, folder, Profile(time.monotonic()))
@@ -47,7 +49,7 @@ def test_a_plan_is_tried_once_and_stored_by_its_content(
     folder.mkdir(parents=True)
     run = run_path(task, gather("a test"), folder, Profile(time.monotonic()))
     assert run.stages[-1].survey is None
-    (folder / "record.json").write_text(run.model_dump_json())
+    (folder / "record.json").write_text(to_json(run))
     last = replace(task, worlds=(len(run.stages) - 1,))
     found = tried(store, last)
     assert found.alone is not None
@@ -106,12 +108,12 @@ def test_the_cheapest_plan_of_a_scene_is_tried_or_all_or_none(tmp_path: Path):
     assert keys(False) == []
     (task,) = worlds_tasks(entries, records, None)
     assert task.worlds == (0,)
-    stored = {"another": a_run(cheap, 1.0, "holds").model_copy(update={"key": "another"})}
+    stored = {"another": replace(a_run(cheap, 1.0, "holds"), key="another")}
     both = {**records, **stored}
     assert worlds_tasks(entries, both, None) == [], "the cheapest is not of this part"
-    records[cheap.task.key] = a_run(cheap, 2.0, "holds", SurveyRecord(sources=survey_sources()))
+    records[cheap.task.key] = a_run(cheap, 2.0, "holds", Survey(sources=survey_sources()))
     assert keys(None) == [], "it was tried"
-    records[cheap.task.key] = a_run(cheap, 2.0, "holds", SurveyRecord(sources="other code"))
+    records[cheap.task.key] = a_run(cheap, 2.0, "holds", Survey(sources="other code"))
     assert keys(None) == [cheap.task.key]
 
 
@@ -126,11 +128,7 @@ def test_of_two_plans_of_one_cost_the_first_of_the_campaign_is_tried(tmp_path: P
     assert worlds_tasks(part, records, None) == [], "a part of the campaign does not change that"
 
 
-def a_run(
-    entry: PlannedTask, cost: float, verdict: str, survey: SurveyRecord | None = None
-) -> RunRecord:
+def a_run(entry: PlannedTask, cost: float, verdict: str, survey: Survey | None = None) -> RunRecord:
     run = factory.runs()[0]
-    last = run.stages[-1].model_copy(
-        update={"index": 0, "cost": cost, "verdict": verdict, "survey": survey}
-    )
-    return run.model_copy(update={"key": entry.task.key, "verdict": verdict, "stages": (last,)})
+    last = replace(run.stages[-1], index=0, cost=cost, verdict=verdict, survey=survey)
+    return replace(run, key=entry.task.key, verdict=verdict, stages=(last,))

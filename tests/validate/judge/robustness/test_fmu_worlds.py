@@ -22,8 +22,9 @@ from wording import unsaid
 from models.catalog import load_scene
 from models.errors import TouchstoneError
 from models.fmu import build_fmu
+from models.results.robustness import RobustnessRecord
+from models.results.stored import from_json
 from models.trajectory import write_csv
-from reports.records.robustness_record import RobustnessRecord
 from validate.cli.group import run
 from validate.judge.judgement import Judgement, WiredFmu, wire_fmu
 from validate.judge.robustness import robustness
@@ -344,7 +345,7 @@ def test_the_command_takes_an_fmu(
         "body.mass",
     ]
     assert run([*given, "--json", "--html", "page.html", "--csv", "worlds.csv"]) == 0
-    record = RobustnessRecord.model_validate_json(capfd.readouterr().out)
+    record = from_json(RobustnessRecord, capfd.readouterr().out)
     assert (record.scene, record.verdict, [item.name for item in record.causes]) == (
         "cart",
         "consistent",

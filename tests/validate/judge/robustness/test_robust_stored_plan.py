@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from reports.records.load import load
-from reports.records.record import RunRecord
+from models.results.run import RunRecord
+from reports.load import load
 from validate.campaign.stored import CampaignError
 from validate.cli.robust import stored_plan
 
@@ -59,4 +60,4 @@ def test_a_stored_plan_comes_with_the_scene_as_its_campaign_changed_it(ran: Path
 def test_a_run_without_a_plan_has_none(ran: Path):
     record = _record(ran)
     with pytest.raises(CampaignError, match=r"left no plan"):
-        stored_plan(ran, record.model_copy(update={"stages": ()}))
+        stored_plan(ran, replace(record, stages=()))

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,9 @@ from wording import unsaid
 import touchstone as ts
 from models.catalog import load_scene
 from models.errors import TouchstoneError
+from models.results.robustness import FirstFailure, RobustnessRecord, Way
+from models.results.stored import from_json
 from models.trajectory import write_csv
-from reports.records.robustness_record import FailureRecord, RobustnessRecord, WayRecord
 from tests.validate.judge.robustness.test_worlds import resting
 from validate.cli.robust import command
 from validate.judge.judgement import Judgement
@@ -73,10 +75,7 @@ def test_what_is_measured_is_the_same_again_and_another_for_another_seed(judged:
         robustness(SCENE, judged.plan, samples=10, seed=seed, kinds=["gain", "noise"])
         for seed in (0, 0, 1)
     )
-    records = [
-        RobustnessRecord.model_validate(item).model_copy(update={"seconds": 0.0})
-        for item in (first, again, other)
-    ]
+    records = [replace(item, seconds=0.0) for item in (first, again, other)]
     assert records[0] == records[1]
     assert first.alone.tried == again.alone.tried
     assert (np.array(first.alone.tried) != np.array(other.alone.tried)).all()
@@ -133,14 +132,12 @@ def test_what_was_tried_before_ctrl_c_is_kept(judged: Judgement):
     assert not found.complete
     assert found.alone.share.samples == 10
     assert [(item.cause.name, item.direction) for item in found.failures] == [("m", -1), ("m", 1)]
-    assert "interrupted" in RobustnessRecord.model_validate(found).summary
+    assert "interrupted" in found.summary
 
     def at_once(text: str) -> None:
         raise KeyboardInterrupt
 
-    nothing = RobustnessRecord.model_validate(
-        robustness(SCENE, judged.plan, samples=10, tell=at_once)
-    )
+    nothing = robustness(SCENE, judged.plan, samples=10, tell=at_once)
     assert "no world was tried" in nothing.summary
 
 
@@ -170,7 +167,7 @@ def test_a_plan_that_does_not_hold_is_measured_anyway():
 
 def test_a_first_failure_is_told_in_its_unit_and_in_sizes():
     cause = perturbations(SCENE, resting())[1]
-    said = FailureRecord(cause=cause, direction=-1, sizes=2.0, amount=-0.2, tried=64.0, by="")  # type: ignore[arg-type]
+    said = FirstFailure(cause=cause, direction=-1, sizes=2.0, amount=-0.2, tried=64.0, by="")  # type: ignore[arg-type]
     assert said.words == "c by -0.2 N s/m (2.00 of its size)"
 
 
@@ -191,7 +188,7 @@ def test_the_command_tells_it_in_text_json_csv_and_a_page(judged: Judgement, tmp
         command, [*given, "--json", "--html", str(page), "--csv", str(rows)], standalone_mode=False
     )
     assert told.return_value == 0, told.output
-    record = RobustnessRecord.model_validate_json(told.stdout)
+    record = from_json(RobustnessRecord, told.stdout)
     assert [item.name for item in record.causes] == ["m", "c", "k", "d"]
     assert json.loads(told.stdout)["ways"][0]["share"]["samples"] == 12
     table = list(csv.DictReader(io.StringIO(rows.read_text())))
@@ -227,9 +224,7 @@ def test_a_plan_that_is_not_there_is_named(arguments: list[str], parts: list[str
 
 
 def test_what_fails_is_named_the_most_frequent_first():
-    way = WayRecord.model_construct(
-        fails_by={"time_limit": 2, "replay_terminal_position_error": 1234}
-    )
+    way = Way(name="", fails_by={"time_limit": 2, "replay_terminal_position_error": 1234})
     assert way.fails == "replay terminal position error in 1,234; time limit in 2"
 
 

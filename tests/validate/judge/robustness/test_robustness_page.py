@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
+from models.results.robustness import Share, Survey
+from models.results.run import CertificateRecord, RunRecord
+from reports.load import Stored
 from reports.pages import robustness
 from reports.pages.section import Report
-from reports.records.load import Stored
-from reports.records.record import CertificateRecord, RunRecord, ShareRecord, SurveyRecord
 from reports.render import Templates
 from tests.reports import record_factory as factory
 from tests.reports.drawn import drawn
 
 
-def share(arrived: int, samples: int = 100) -> ShareRecord:
+def share(arrived: int, samples: int = 100) -> Share:
     # Half-width of 10 points around each share, so that 20 points tell two apart.
     of = arrived / samples
-    return ShareRecord(
+    return Share(
         arrived=arrived,
         samples=samples,
         share=of,
@@ -41,7 +43,7 @@ def plan(
         holds=True, feasible=True, primal=0.0, complementarity=0.0, dual=None, strong=True,
         pairs=0, biactive=0, sentence=""
     )  # fmt: skip
-    survey = SurveyRecord(
+    survey = Survey(
         alone=share(arrived), feedback=None if followed is None else share(followed), checked=10,
         differ=1, weakest=weakest, sizes=0.5, amount=-0.1,
         unit="N/m", by="replay_terminal_position_error",
@@ -53,22 +55,19 @@ def plan(
         "certificate": certificate if exact else None,
     }
     template = factory.runs()[0]
-    last = template.stages[-1].model_copy(
-        update={**changes, "index": 1 if warm else 0, "method": pipeline}
+    last = replace(
+        template.stages[-1], **{**changes, "index": 1 if warm else 0, "method": pipeline}
     )
     stages = (
-        (template.stages[0].model_copy(update={"survey": None, "verdict": "violates"}), last)
-        if warm
-        else (last,)
+        (replace(template.stages[0], survey=None, verdict="violates"), last) if warm else (last,)
     )
-    return template.model_copy(
-        update={
-            "key": pipeline + scene,
-            "pipeline": pipeline,
-            "stages": stages,
-            "scene": factory.scene(scene),
-            "verdict": "holds",
-        }
+    return replace(
+        template,
+        key=pipeline + scene,
+        pipeline=pipeline,
+        stages=stages,
+        scene=factory.scene(scene),
+        verdict="holds",
     )
 
 
@@ -129,16 +128,10 @@ def test_plans_that_cost_and_fare_the_same_count_once_and_stand_in_the_table():
 
 def test_the_page_has_every_plan_and_what_was_not_tried():
     refused = plan("free", 5.0, 0, None)
-    stage = refused.stages[-1].model_copy(
-        update={"survey": SurveyRecord(message="scene x: it asks for no end.")}
-    )
+    stage = replace(refused.stages[-1], survey=Survey(message="scene x: it asks for no end."))
     text = Templates().render(
         "robustness.html#campaign",
-        **(
-            found := built(
-                plan("cheap", 100.0, 20, 30), refused.model_copy(update={"stages": (stage,)})
-            )
-        ).values,
+        **(found := built(plan("cheap", 100.0, 20, 30), replace(refused, stages=(stage,)))).values,
         section=found,
     )
     assert [

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from models.catalog import load_scene
-from reports.records.record import SurveyRecord
 from validate.judge.judgement import Judgement
 from validate.judge.robustness import robustness, survey
 from validate.judge.robustness.robustness import FEWEST
@@ -42,7 +41,7 @@ def test_a_plan_is_tried_in_the_same_worlds_as_by_itself(judged: Judgement):
         along_all.cause.name,
         pytest.approx(along_all.sizes, rel=0.02),
     )
-    record = SurveyRecord.model_validate(found, from_attributes=True)
+    record = found
     assert (record.alone.arrived, record.weakest, record.message) == (sum(arrived), "c", "")  # type: ignore[union-attr]
 
 

@@ -1,64 +1,27 @@
 """RunRecord: the stored result of one run, scene by pipeline.
 
-    record = RunRecord.model_validate_json(path.read_text())
+    record = from_json(RunRecord, path.read_text())  # models.results.stored
 
 Numbers are plain JSON without NaN and infinities. Motions are in the NetCDF files of `stage_files`,
-read by reports.traces. Columns of iteration histories are base64 of little-endian float64, read ten
-times as fast as digits and a third as long; lists are accepted too. Equations are compressed text.
+read by reports.traces. Equations are compressed text.
 """
 
 from __future__ import annotations
 
 import base64
 import json
-import sys
 import zlib
-from array import array
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    FiniteFloat,
-    PlainSerializer,
-    model_validator,
-)
-
-from reports.names import FEEDBACK as FEEDBACK
-from reports.names import HOLD as HOLD
-from reports.names import TRACKED as TRACKED
+from models.results.fields import Encoded, Floats, OrInfinite, Result
+from models.results.robustness import Survey
+from models.results.verdict import TRACKED, Answer, Metric, Question, Verdict
 
 if TYPE_CHECKING:  # a fifth of the time of `show`, which does not need them
     import numpy as np
     from numpy.typing import NDArray
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-
-
-def _in_order(numbers: array[float]) -> array[float]:
-    if sys.byteorder == "big":
-        numbers.byteswap()
-    return numbers
-
-
-def _text(values: Sequence[Any]) -> str:
-    return base64.b64encode(_in_order(array("d", values)).tobytes()).decode("ascii")
-
-
-def _floats(value: Any) -> Any:
-    """Return the numbers of a text, or the value; raise ValueError for an invalid text."""
-    return (
-        tuple(_in_order(array("d", base64.b64decode(value, validate=True))))
-        if isinstance(value, str)
-        else value
-    )
-
-
-_written = PlainSerializer(_text, return_type=str, when_used="json")
-Floats = Annotated[tuple[FiniteFloat, ...], BeforeValidator(_floats), _written]
 
 # Largest number of points that a plot can show.
 LONGEST = 1500
@@ -87,41 +50,28 @@ def stage_files(index: int, stages: int) -> dict[str, str]:
 OWN_STEP = "own_time_step"
 
 # Increment on every change of a stored field; stores of other versions are refused.
-SCHEMA_VERSION = 9
-
-Verdict = Literal[
-    "holds",
-    "holds with feedback",
-    "violates",
-    "undecided",
-    "no plan",
-    "not applicable",
-    "consistent",
-]
+SCHEMA_VERSION = 10
 
 
-class Model(BaseModel):
-    """A stored, immutable record without unknown fields."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class QuantityRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class QuantityRecord(Result):
     """A named quantity: column name in files, unit, words."""
 
     name: str
     unit: str
     description: str = ""
-    value: Finite | None = None
+    value: float | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
 class ContactRecord(QuantityRecord):
     """A contact with its stiffness; bodies: names of shapes, "" for undrawn ones, as of a joint."""
 
     bodies: tuple[str, str] = ("", "")
 
 
-class ShapeRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class ShapeRecord(Result):
     """A drawn body.
 
     - place: x, y [m] and angle [rad] of its pose, each a constant, the name of a coordinate, or
@@ -131,12 +81,13 @@ class ShapeRecord(Model):
 
     name: str
     kind: str
-    size: tuple[Finite, ...]
-    place: tuple[Finite | str | None, Finite | str | None, Finite | str | None] = (None, None, None)
-    goal: tuple[Finite, Finite, Finite | None] | None = None
+    size: tuple[float, ...]
+    place: tuple[float | str | None, float | str | None, float | str | None] = (None, None, None)
+    goal: tuple[float, float, float | None] | None = None
 
 
-class EquationRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class EquationRecord(Result):
     """One equation of the scene as presentation MathML, with a caption."""
 
     caption: str
@@ -159,17 +110,14 @@ def _unpacked(value: Any) -> Any:
 
 
 # Base64 of compressed text: a fifth of the MathML, a third of a record otherwise.
-Equations = Annotated[
-    tuple[EquationRecord, ...],
-    BeforeValidator(_unpacked),
-    PlainSerializer(_packed, return_type=str, when_used="json"),
-]
+Equations = Annotated[tuple[EquationRecord, ...], Encoded(_packed, _unpacked)]
 
 # Caption of the final cost, if a scene has one.
 FINAL_COST = "cost of the last state, added to that sum"
 
 
-class SceneRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class SceneRecord(Result):
     """A scene as planned for: quantities, task, equations and shapes."""
 
     name: str
@@ -181,9 +129,9 @@ class SceneRecord(Model):
     contacts: tuple[ContactRecord, ...]
     frictions: tuple[QuantityRecord, ...] = ()  # by names of forces; values are coefficients
     parameters: tuple[QuantityRecord, ...]
-    start: tuple[Finite, ...]
-    goal: tuple[Finite | None, ...]  # None: free
-    step: Finite
+    start: tuple[float, ...]
+    goal: tuple[float | None, ...]  # None: free
+    step: float
     steps: int
     equations: Equations = ()
     absent: tuple[str, ...] = ()
@@ -191,88 +139,92 @@ class SceneRecord(Model):
     shapes: tuple[ShapeRecord, ...] = ()
     waived: tuple[str, ...] = ()  # waived limits with reasons
     unstable: str = ""  # why the scene needs feedback
-    operations: dict[str, int] = {}  # of the equations of a time step, by kind
+    operations: dict[str, int] = field(
+        default_factory=dict
+    )  # of the equations of a time step, by kind
 
 
-class MetricRecord(Model):
-    """One metric of the score, or one figure of a check.
+@dataclass(frozen=True, kw_only=True)
+class Effort(Result):
+    """Corrections by feedback.
 
-    - value: None if not measured, with `reason`.
-    - question: 1 to 6, None for the judge's and shown ones.
-    - error: by the replay's error, None: unknown.
-    - ok: None without a limit, or undecided.
-    - default: the limit is the metric's own.
-    - at_least: a lower limit.
-    """
-
-    name: str
-    value: Finite | None
-    unit: str
-    meaning: str
-    question: int | None = None
-    error: Finite | None = 0.0
-    limit: Finite | None = None
-    reason: str = ""
-    ok: bool | None = None
-    default: bool = False
-    at_least: bool = False
-
-
-class TrackedRecord(Model):
-    """Facts about the replay with feedback.
-
-    - rms, peak: corrections of each input, in its unit.
+    - rms, peak: of each input over time, in its unit.
     - rms_share, peak_share: largest over the inputs, of half their range.
-    - plan_share: of the plan's inputs (None: those are 0).
-    - saturated: share of steps at a bound.
-    - Further fields: as in ReplayRecord.
+    - plan_share: rms of corrections over rms of the plan's inputs, averaged over windows
+      (models.trajectory.input_share); None: those inputs are 0.
+    - saturated: fraction of steps at a bound because of a correction.
     """
 
-    error_estimate: Finite | None
+    rms: tuple[float, ...] = ()
+    peak: tuple[float, ...] = ()
+    rms_share: float = 0.0
+    peak_share: float = 0.0
+    plan_share: float | None = 0.0
+    saturated: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackedRecord(Effort):
+    """Facts about the replay with feedback; further fields: as in ReplayRecord."""
+
+    error_estimate: float | None
     events: int = 0
-    seconds_reference: Finite = 0.0
-    seconds_everyday: Finite = 0.0
+    seconds_reference: float = 0.0
+    seconds_everyday: float = 0.0
     message: str = ""
-    rms: tuple[Finite, ...] = ()
-    peak: tuple[Finite, ...] = ()
-    rms_share: Finite = 0.0
-    peak_share: Finite = 0.0
-    plan_share: Finite | None = 0.0
-    saturated: Finite = 0.0
 
 
-class ReplayRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class ReplayRecord(Result):
     """Facts about the replay of one stage; errors [m or rad]; fmu: hash; judged: of the verdict."""
 
-    error_estimate: Finite | None
-    tolerance_difference: Finite | None = None  # reference at two tolerances
-    step_difference: Finite | None = None  # everyday replay at two steps
-    everyday_difference: Finite | None = None  # everyday replay against reference
+    error_estimate: float | None
+    tolerance_difference: float | None = None  # reference at two tolerances
+    step_difference: float | None = None  # everyday replay at two steps
+    everyday_difference: float | None = None  # everyday replay against reference
     events: int = 0
-    seconds_reference: Finite = 0.0
-    seconds_everyday: Finite = 0.0
+    seconds_reference: float = 0.0
+    seconds_everyday: float = 0.0
     fmu: str = ""
     message: str = ""
     judged: Literal["open", "feedback"] = "open"
-    growth_rate: Finite | None = None  # of an error without feedback [1/s]
+    growth_rate: float | None = None  # of an error without feedback [1/s]
     tracked: TrackedRecord | None = None
 
 
-class SecondsRecord(Model):
-    """Seconds of one stage; `total` includes earlier stages, `replay` is replay and scoring."""
+@dataclass(frozen=True, kw_only=True)
+class Seconds(Result):
+    """Wall and CPU seconds of one stage.
 
-    build: Finite = 0.0
-    translate: Finite = 0.0
-    evaluate: Finite = 0.0
-    linear_algebra: Finite = 0.0
-    solve: Finite = 0.0
-    stage: Finite = 0.0
-    stage_cpu: Finite = 0.0
-    total: Finite = 0.0
-    replay: Finite = 0.0
+    - build: making the model.
+    - translate: model -> solver.
+    - evaluate: functions and derivatives.
+    - linear_algebra: the rest of the solver.
+    - wall, cpu: the whole stage.
+    - total: wall seconds with earlier stages.
+    - replay: replay and scoring.
+    """
+
+    build: float = 0.0
+    translate: float = 0.0
+    evaluate: float = 0.0
+    linear_algebra: float = 0.0
+    wall: float = 0.0
+    cpu: float = 0.0
+    total: float = 0.0
+    replay: float = 0.0
+
+    def __add__(self, other: Seconds) -> Seconds:
+        return Seconds(**{name: value + getattr(other, name) for name, value in vars(self).items()})
+
+    @property
+    def solve(self) -> float:
+        """Return the seconds in the solver."""
+        return self.evaluate + self.linear_algebra
 
 
-class CertificateRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class CertificateRecord(Result):
     """A plan judged in the strict Pyomo model of its scene, without its method's multipliers.
 
     - primal: largest violation [units of the scene], of constraint `worst`.
@@ -287,10 +239,10 @@ class CertificateRecord(Model):
 
     holds: bool
     feasible: bool
-    primal: Finite | None
+    primal: float | None
     worst: str = ""
-    complementarity: Finite | None
-    dual: Finite | None
+    complementarity: float | None
+    dual: float | None
     strong: bool
     obstacle: str = ""
     pairs: int
@@ -299,108 +251,58 @@ class CertificateRecord(Model):
     sentence: str
 
 
-class SizeRecord(Model):
-    """Unknowns and equations of the solver's model, and of the paper's."""
+@dataclass(frozen=True, kw_only=True)
+class ModelSize(Result):
+    """Unknowns and equations (without bounds) of a solver's model."""
 
     unknowns: int
     equations: int
-    paper_unknowns: int
-    paper_equations: int
 
 
-class FoundRecord(BaseModel):
-    """A record from an object of validate.judge.robustness, by equal-named fields."""
-
-    model_config = ConfigDict(extra="ignore", frozen=True, from_attributes=True)
-
-
-class ShareRecord(FoundRecord):
-    """Number of perturbed worlds in which a plan arrives, with Wilson's 95 % interval."""
-
-    arrived: int
-    samples: int
-    share: Finite
-    interval: tuple[Finite, Finite]
-
-    @property
-    def words(self) -> str:
-        """Return `71.5 % (68.6 to 74.2 %) of 1,000 worlds`."""
-        if not self.samples:
-            return "none, as no world was tried"
-        low, high = self.interval
-        return f"{100 * self.share:.1f} % ({100 * low:.1f} to {100 * high:.1f} %) of {self.samples:,} worlds"
-
-
-class SurveyRecord(Model):
-    """Robustness of a plan that holds (validate.judge.robustness.robustness.survey).
-
-    - checked, differ: worlds repeated by the reference, and those that differ.
-    - weakest: perturbation tolerated least, its amount [unit] and failing metric.
-    - message: why not tried.
-    - sources: digest of the code.
-    """
-
-    alone: ShareRecord | None = None
-    feedback: ShareRecord | None = None
-    checked: int = 0
-    differ: int = 0
-    weakest: str = ""
-    sizes: Finite | None = None
-    amount: Finite | None = None
-    unit: str = ""
-    by: str = ""
-    message: str = ""
-    sources: str = ""
-
-
-class QuestionRecord(Model):
-    """One question of the judge, and its answer."""
-
-    number: int | None  # None: whether the judge is well
-    text: str
-    answer: Literal["yes", "no", "undecided", "not asked"]
-
-
-class StageRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class StageRecord(Result):
     """One stage of a pipeline: one method at one eps."""
 
     index: int
     method: str
     method_title: str
     kind: Literal["indirect", "direct", "given"]  # given: an external plan
-    eps: Finite | None
+    eps: float | None
     outcome: str  # name of the Outcome, lower case
     advice: str  # its sentence
     message: str = ""
-    cost: Finite | None = None
+    cost: float | None = None
     iterations: int = 0
     solver: str = ""  # name and version of the solver
-    residuals: dict[str, Finite] = {}
-    size: SizeRecord | None = None
-    options: dict[str, str | int | bool | Finite | list[Finite] | None] = {}
-    history: dict[str, Floats] = {}
+    residuals: dict[str, float] = field(default_factory=dict)
+    size: ModelSize | None = None
+    paper_size: ModelSize | None = None  # counted by hand
+    options: dict[str, str | int | bool | float | list[float] | None] = field(default_factory=dict)
+    history: dict[str, Floats] = field(default_factory=dict)
     certificate: CertificateRecord | None = None
     certificate_missing: bool = False  # the run ended before
-    seconds: SecondsRecord = SecondsRecord()
-    metrics: tuple[MetricRecord, ...] = ()
-    verdict: Verdict = "no plan"
+    seconds: Seconds = field(default_factory=Seconds)
+    metrics: tuple[Metric, ...] = ()
+    verdict: Verdict = Verdict.NO_PLAN
     why: str = ""
     # The same in one word: the failing or undecided metric, or the cause.
     cause: str = ""
-    questions: tuple[QuestionRecord, ...] = ()
+    questions: tuple[tuple[Question, Answer], ...] = ()
     not_asked: tuple[str, ...] = ()
     replay: ReplayRecord | None = None
-    survey: SurveyRecord | None = None  # None if not selected
+    survey: Survey | None = None  # None if not selected
     has_plan: bool = False  # whether the files of a plan exist
-    paper: dict[str, Finite] = {}  # the paper's numbers: cost, stability, physics, time
+    paper: dict[str, float] = field(
+        default_factory=dict
+    )  # the paper's numbers: cost, stability, physics, time
     # The pipeline whose run solved this stage, if another.
     shared_from: str = ""
 
-    def metric(self, name: str) -> MetricRecord | None:
+    def metric(self, name: str) -> Metric | None:
         """Return the metric of this name, None if not measured."""
         return next((metric for metric in self.metrics if metric.name == name), None)
 
-    def judged(self, name: str) -> MetricRecord | None:
+    def judged(self, name: str) -> Metric | None:
         """Return a metric, of the judged replay if there are two."""
         return (self.metric(f"{TRACKED}{name}") if self.is_tracked else None) or self.metric(name)
 
@@ -420,7 +322,8 @@ class StageRecord(Model):
         return not (self.metrics or self.replay or self.has_plan)
 
 
-class LegRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class LegRecord(Result):
     """Result of a leg (validate.tasks.leg).
 
     - pipeline: of the run that made it.
@@ -432,19 +335,20 @@ class LegRecord(Model):
 
     key: str
     pipeline: str
-    stages: tuple[StageRecord, ...] = Field(min_length=1)
+    stages: tuple[StageRecord, ...]
     files: dict[str, str]
-    limit: Finite | None = None
-    profile: dict[str, Finite] = {}
+    limit: float | None = None
+    profile: dict[str, float] = field(default_factory=dict)
 
-    @model_validator(mode="after")
-    def _has_its_stages_in_order(self) -> Self:
+    def __post_init__(self) -> None:
         if [stage.index for stage in self.stages] != list(range(len(self.stages))):
             raise ValueError("its stages are not in order")
-        return self
+        if not self.stages:
+            raise ValueError("it has no stages")
 
 
-class ProvenanceRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class ProvenanceRecord(Result):
     """Origin of a record."""
 
     touchstone: str
@@ -461,10 +365,11 @@ class ProvenanceRecord(Model):
     command: str
 
 
-class RunRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class RunRecord(Result):
     """One run: a scene by a pipeline."""
 
-    schema_version: Literal[9] = SCHEMA_VERSION
+    schema_version: Literal[10] = SCHEMA_VERSION
     key: str
     scene: SceneRecord
     pipeline: str
@@ -472,18 +377,18 @@ class RunRecord(Model):
     stages: tuple[StageRecord, ...]
     outcome: str  # of its last stage, or crashed / time_limit / refused
     message: str = ""
-    verdict: Verdict = "no plan"  # of the last stage
+    verdict: Verdict = Verdict.NO_PLAN  # of the last stage
     # Instance of a campaign of foreign plans; empty for other campaigns.
     instance: str = ""
     # The physics, or the plan's own equations.
     judged_by: Literal["", "scene", "model"] = ""
     # The last stage is direct: if it is `solved`, its plan must hold (reports.rule).
     must_hold: bool
-    wall_seconds: Finite
-    cpu_seconds: Finite
-    profile: dict[
-        str, Finite
-    ] = {}  # wall seconds by phase, whose sum is wall_seconds; empty without an answer
+    wall_seconds: float
+    cpu_seconds: float
+    profile: dict[str, float] = field(
+        default_factory=dict
+    )  # wall seconds by phase, whose sum is wall_seconds; empty without an answer
     provenance: ProvenanceRecord
     log_tail: str = ""
 
@@ -511,42 +416,66 @@ class RunRecord(Model):
     @property
     def solving_cpu(self) -> float:
         """Return the CPU seconds [s] of solving all stages, wherever they ran."""
-        return sum(stage.seconds.stage_cpu for stage in self.stages)
+        return sum(stage.seconds.cpu for stage in self.stages)
 
 
-class ViolationPoint(Model):
+@dataclass(frozen=True, kw_only=True)
+class ViolationPoint(Result):
     """Worst violation D = max over phi of lam*(lam - k*phi) at eps (Fig. 2 of the paper) [N^2]."""
 
     law: str  # "softplus" or "relaxed_lcp"
-    eps: Finite
-    measured: Finite
-    closed_form: Finite
+    eps: float
+    measured: float
+    closed_form: float
 
 
-class TimeStepRecord(Model):
-    """Stability of a scene's time step with closed contacts.
+@dataclass(frozen=True, kw_only=True)
+class StepStability(Result):
+    """Stability of a time step while contacts are closed.
 
-    - radius: spectral radius of the step's Jacobian.
-    - growth [1/s]: of the motion itself.
-    - largest_step [s]: stable below with any contacts (None: always).
-    - warning: "" if stable.
-    - digest: of the scene.
+    - step: [s].
+    - radius: spectral radius of the step's Jacobian, for the worst set of contacts.
+    - contacts: names of that set.
+    - growth: growth rate of the motion itself there [1/s], or 0.
+    - largest_step: limit of stable steps [s], may be infinite.
     """
 
     scene: str
-    digest: str
-    step: Finite
-    radius: Finite
+    step: float
+    radius: float
     contacts: tuple[str, ...]
-    growth: Finite
-    largest_step: Finite | None
-    warning: str = ""
+    growth: float
+    largest_step: OrInfinite
+
+    @property
+    def is_stable(self) -> bool:
+        """Return whether the step is below the largest stable one."""
+        return self.step < self.largest_step
+
+    @property
+    def sentence(self) -> str:
+        """Return a warning for the user, or ""."""
+        if self.is_stable:
+            return ""
+        closed = " and ".join(self.contacts) or "no contact"
+        return (
+            f"scene {self.scene}: with {closed} closed, a step of {self.step:g} s lies past the stability limit of semi-implicit Euler "
+            f"(spectral radius {self.radius:.4g}); plans of this grid blow up in contact: take a step below {self.largest_step:.3g} s, or softer contact."
+        )
 
 
-class CampaignRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class TimeStepRecord(StepStability):
+    """Stability of the time step of a planned scene; digest: of the scene."""
+
+    digest: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignRecord(Result):
     """The campaign as a whole, stored as DIR/campaign.json."""
 
-    schema_version: Literal[9] = SCHEMA_VERSION
+    schema_version: Literal[10] = SCHEMA_VERSION
     title: str
     command: str
     started: str

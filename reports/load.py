@@ -13,15 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
-from reports.records.check_record import CheckRecord, divided, record_of
-from reports.records.record import (
-    HOLD,
-    SCHEMA_VERSION,
-    CampaignRecord,
-    RunRecord,
-)
+from models.results.check import CheckRecord, divided
+from models.results.run import SCHEMA_VERSION, CampaignRecord, RunRecord
+from models.results.stored import from_json, record_of
+from models.results.verdict import HOLD
 from reports.wording import clean
 
 CAMPAIGN = "campaign.json"
@@ -43,7 +40,7 @@ def record_files(folder: Path) -> list[Path]:
     return [path / "record.json" for path in folders]
 
 
-_Record = TypeVar("_Record", bound=BaseModel)
+_Record = TypeVar("_Record")
 
 
 class ReportError(Exception):
@@ -97,7 +94,7 @@ def load(folder: Path) -> Stored:
         raise ReportError(sentence)
     unreadable: list[Unreadable] = []
     campaign = read_record(
-        folder / CAMPAIGN, folder, CampaignRecord.model_validate_json, unreadable
+        folder / CAMPAIGN, folder, lambda text: from_json(CampaignRecord, text), unreadable
     )
     records: dict[str, RunRecord | CheckRecord] = {}
     for path in record_files(folder):

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from reports.records.check_record import ChartRecord
-from reports.records.record import Finite, Model
+from dataclasses import dataclass
+
+from models.results.check import ChartRecord
+from models.results.fields import Result
 
 
-class LevelRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class LevelRecord(Result):
     """One of four motions: step [s] or tolerance, relative errors (None: none), CPU times [s]."""
 
-    step: Finite | None
-    tolerance: Finite | None
-    error: Finite | None
-    energy: Finite | None
-    microseconds: Finite | None
-    seconds: Finite
+    step: float | None
+    tolerance: float | None
+    error: float | None
+    energy: float | None
+    microseconds: float | None
+    seconds: float
 
 
-class TruthRow(Model):
+@dataclass(frozen=True, kw_only=True)
+class TruthRow(Result):
     """Result of an engine on a problem.
 
     - came: done, cannot express it, not installed, failed.
@@ -34,7 +38,7 @@ class TruthRow(Model):
     came: str
     why: str = ""
     worst: str = ""
-    order: Finite | None = None
+    order: float | None = None
     levels: tuple[LevelRecord, ...] = ()
 
     @property
@@ -43,7 +47,8 @@ class TruthRow(Model):
         return self.levels[-1].error if self.levels else None
 
 
-class TruthRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class TruthRecord(Result):
     """engines: title, version and contact law by name; rows by problem, then engine.
 
     charts: error against CPU time.

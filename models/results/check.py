@@ -1,27 +1,22 @@
 """CheckRecord: an expected result and a finding; ChartRecord: data of one plot of a check.
 
-record = record_of(path.read_bytes())  # a RunRecord or a CheckRecord
-runs, checks = divided(records)
+runs, checks = divided(records)  # RunRecords and CheckRecords
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Annotated, Any, Literal
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
 
-from pydantic import Discriminator, RootModel, Tag
-
-from reports.records.record import (
-    SCHEMA_VERSION,
-    Finite,
-    MetricRecord,
-    Model,
-    ProvenanceRecord,
-    RunRecord,
-)
+from models.results.fields import Result
+from models.results.run import SCHEMA_VERSION, ProvenanceRecord, RunRecord
+from models.results.verdict import Metric
 
 
-class AxisRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class AxisRecord(Result):
     """An axis of a chart."""
 
     quantity: str
@@ -29,67 +24,90 @@ class AxisRecord(Model):
     log: bool = False
 
 
-class SeriesRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class SeriesRecord(Result):
     """x, y of equal length; line: joined points."""
 
     name: str
-    x: tuple[Finite, ...]
-    y: tuple[Finite, ...]
+    x: tuple[float, ...]
+    y: tuple[float, ...]
     line: bool = True
 
 
-class ChartRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class ChartRecord(Result):
     """One plot; level: a horizontal line; words: its content as a sentence."""
 
     title: str
     x: AxisRecord
     y: AxisRecord
     series: tuple[SeriesRecord, ...]
-    level: Finite | None = None
+    level: float | None = None
     level_words: str = ""
     words: str = ""
 
 
-class CheckRow(Model):
+class Status(StrEnum):
+    """The outcome of a check, as the table shows it."""
+
+    PASSED = "passed"
+    FAILED = "failed"
+    NOT_OFFERED = "not offered"  # the FMU does not offer the feature, or it cannot be measured
+    ADVICE = "advice"  # allowed, and a trap for users
+    WAIVED = "waived"  # failed, and the user gave a reason why that is right
+
+
+@dataclass(frozen=True, kw_only=True)
+class FmuCheckRow(Result):
     """One check of an FMU: its claim and the finding.
 
-    - type: "ME", "CS", or "" for the file.
+    - type: of FMI, "ME" or "CS"; "" for the file.
     - clause: section of the standard.
-    - severity: of a failure, "" if unknown.
     """
 
     name: str
     type: str
     claim: str
-    status: Literal["passed", "failed", "not offered", "advice", "waived"]
+    status: Status
     sentence: str
-    seconds: Finite
+    seconds: float
     clause: str = ""
-    severity: Literal["", "error", "behaviour", "advice"] = ""
+
+    @property
+    def title(self) -> str:
+        """Return the name of the check, with the type of FMI."""
+        return f"{self.name} ({self.type})" if self.type else self.name
+
+    @property
+    def severity(self) -> str:
+        """Return `error` if the standard demands it, else `behaviour`; `advice` for advice."""
+        return "advice" if self.status is Status.ADVICE else "error" if self.clause else "behaviour"
 
 
-class FmuRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class FmuRecord(Result):
     """An exported and checked FMU; version: of FMI; types: ME, CS; export may be cached."""
 
     version: str
     types: tuple[str, ...]
     bytes: int
     sha256: str
-    export_seconds: Finite
-    check_seconds: Finite
-    rows: tuple[CheckRow, ...]
+    export_seconds: float
+    check_seconds: float
+    rows: tuple[FmuCheckRow, ...]
 
     def count(self, status: str) -> int:
         """Return the number of checks with this status."""
         return sum(row.status == status for row in self.rows)
 
     @property
-    def failed(self) -> tuple[CheckRow, ...]:
+    def failed(self) -> tuple[FmuCheckRow, ...]:
         """Return the failed checks."""
-        return tuple(row for row in self.rows if row.status == "failed")
+        return tuple(row for row in self.rows if row.status is Status.FAILED)
 
 
-class CheckRecord(Model):
+@dataclass(frozen=True, kw_only=True)
+class CheckRecord(Result):
     """One check; kind and name are unique in a campaign, and a kind has its page.
 
     - outcome: `answered`, or how it ended: `failed` with a reason, `crashed`, `time_limit`.
@@ -99,7 +117,7 @@ class CheckRecord(Model):
     - charts: data of plots.
     """
 
-    schema_version: Literal[9] = SCHEMA_VERSION
+    schema_version: Literal[10] = SCHEMA_VERSION
     key: str
     kind: str
     name: str
@@ -109,11 +127,11 @@ class CheckRecord(Model):
     passed: bool
     found: str = ""
     message: str = ""
-    figures: tuple[MetricRecord, ...] = ()
+    figures: tuple[Metric, ...] = ()
     fmu: FmuRecord | None = None
     charts: tuple[ChartRecord, ...] = ()
-    wall_seconds: Finite
-    cpu_seconds: Finite
+    wall_seconds: float
+    cpu_seconds: float
     provenance: ProvenanceRecord
     log_tail: str = ""
 
@@ -121,28 +139,6 @@ class CheckRecord(Model):
     def title(self) -> str:
         """Return kind and name, as in campaigns and `show`."""
         return f"{self.kind}: {self.name}"
-
-
-def _which(data: Any) -> str:
-    return (
-        "run"
-        if isinstance(data, RunRecord) or (isinstance(data, dict) and "pipeline" in data)
-        else "check"
-    )
-
-
-class StoredRecord(RootModel):
-    """Any record.json of a campaign."""
-
-    root: Annotated[
-        Annotated[RunRecord, Tag("run")] | Annotated[CheckRecord, Tag("check")],
-        Discriminator(_which),
-    ]
-
-
-def record_of(text: bytes) -> RunRecord | CheckRecord:
-    """Return the record of a record.json. Raises pydantic's ValidationError."""
-    return StoredRecord.model_validate_json(text).root
 
 
 def divided(

@@ -1,0 +1,1 @@
+"""Vocabulary of results: what judge, solvers and campaigns fill, and reports draw."""

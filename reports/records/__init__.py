@@ -1,1 +1,0 @@
-"""Versioned schemas of stored records, and reading a folder of them."""
