@@ -49,7 +49,7 @@ _TAKEN = {
     "time": "the time in a plan and in an FMU",
     "h": "the time step in the equations of a report",
 }
-# Words that would name a variable of generated C code.
+# Words of C: no name may be one in a generated file.
 _WORDS_OF_C = """
     auto case char const default do double enum extern float goto inline int long register restrict short signed sizeof static
     struct switch typedef union unsigned void volatile
