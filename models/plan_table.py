@@ -13,7 +13,7 @@ import re
 import reprlib
 import sys
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -81,11 +81,10 @@ class PlanTable:
             head = head[:-1]  # trailing commas
         self.units: dict[str, str] = {}
         names = []
-        lower = [_name_and_unit(cell)[0].lower() for cell in head]
+        clock = _clock(_name_and_unit(cell)[0] for cell in head)
         for cell in head:
             name, unit = _name_and_unit(cell)
-            if name.lower() == "time" and lower.count("time") == 1 and "t" not in lower:
-                name = "t"
+            name = "t" if name == clock else name
             names.append(name)
             if unit is not None:
                 self.units[name] = unit
@@ -309,6 +308,13 @@ def _one_row(values: np.ndarray) -> np.ndarray:
     return values.ravel() if values.ndim == 2 and 1 in values.shape else values
 
 
+def _clock(names: Iterable[Any]) -> str | None:
+    """Return the column that is read as t: the only one called time, in any case, without a t."""
+    each = [name for name in names if isinstance(name, str)]
+    times = [name for name in each if name.lower() == "time"]
+    return times[0] if len(times) == 1 and "t" not in map(str.lower, each) else None
+
+
 class ArrayTable:
     """A table of arrays by column names: a mapping, a pandas DataFrame or a structured array.
 
@@ -325,8 +331,8 @@ class ArrayTable:
                     f"plan: an array of shape {columns.shape} has no column names; give {{'t': array[:, 0], ..}}."
                 )
             columns = {name: columns[name] for name in columns.dtype.names}
-        if hasattr(columns, "reset_index") and "t" not in columns:
-            if columns.index.name == "t":
+        if hasattr(columns, "reset_index") and _clock(columns) is None and "t" not in columns:
+            if str(columns.index.name).lower() in ("t", "time"):
                 columns = columns.reset_index()
             elif type(columns.index).__name__ != "RangeIndex":
                 raise TrajectoryError(
@@ -340,8 +346,12 @@ class ArrayTable:
                 )
             if names.count(name) > 1:
                 raise TrajectoryError(f"plan: the column {name!r} appears twice.")
+        clock = _clock(names)
         self._columns = {
-            name: _one_row(real_numbers(f"the column {name!r}", columns[name])) for name in names
+            "t" if name == clock else name: _one_row(
+                real_numbers(f"the column {name!r}", columns[name])
+            )
+            for name in names
         }
         self.names = tuple(self._columns)
         self.given = tuple(

@@ -152,8 +152,8 @@ class Graph:
     def div(self, a: int, b: int) -> int:
         """Return the node of a / b.
 
-        A quotient by 1 + exp(z) becomes a product with a logistic function, which does not
-        overflow.
+        A quotient by 1 + exp(z), or by a product with it, becomes a product with a logistic
+        function, which does not overflow.
         """
         ca, cb = self.constant_value(a), self.constant_value(b)
         if ca == 0.0:
@@ -172,6 +172,12 @@ class Graph:
         exponent = self._one_plus_exp(b)
         if exponent is not None:
             return self.mul(a, self.call("logistic", self.neg(exponent)))
+        if self.op[b] == "mul":
+            left, right = self.args[b]
+            for factor, other in ((left, right), (right, left)):
+                exponent = self._one_plus_exp(factor)
+                if exponent is not None:
+                    return self.div(self.mul(a, self.call("logistic", self.neg(exponent))), other)
         return self._operation("div", a, b)
 
     def pow(self, base: int, exponent: int) -> int:

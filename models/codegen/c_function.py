@@ -239,12 +239,17 @@ class Vector:
 
     @classmethod
     def of(cls, name: str, entries: Sequence[str]) -> Vector:
-        """Return a vector of real symbols `<name>_<entry>`."""
-        return cls(
-            name,
-            tuple(entries),
-            tuple(sp.Symbol(f"{name}_{entry}", real=True) for entry in entries),
-        )
+        """Return a vector of real symbols `<name>_<entry>`, all different.
+
+        Another `_` separates entry bar_x of `a` from x of `a_bar`, and a second equal entry.
+        """
+        symbols: list[sp.Symbol] = []
+        for entry in entries:
+            symbol = sp.Symbol(f"{name}_{entry}", real=True)
+            if symbol in symbols or entry.split("_")[0] == "bar":
+                symbol = sp.Symbol(f"{name}__{entry}", real=True)
+            symbols.append(symbol)
+        return cls(name, tuple(entries), tuple(symbols))
 
     def like(self, name: str) -> Vector:
         """Return a vector of the same entries under another name."""

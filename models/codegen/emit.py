@@ -258,7 +258,8 @@ def _contact_functions(x: SceneVectors) -> list[str]:
 
 def _energy_functions(x: SceneVectors) -> list[str]:
     d = x.dynamics
-    cost, cost_bar = x.local(d.running_cost), Vector.of("cost", ["bar"])
+    cost = x.local(d.running_cost)
+    cost_bar = Vector("cost", ("bar",), (sp.Symbol("cost_bar", real=True),))
     return [
         c_function(
             "double", "scene_kinetic_energy", (x.q, x.v, x.p), None, x.local(d.kinetic_energy)

@@ -43,12 +43,23 @@ from models.scene.values import (
     settle,
 )
 
-# Words of C and of the generated code; like Python's keywords they may not name a quantity.
+# Names with a meaning of their own in plans and reports.
+_TAKEN = {
+    "t": "the time in a plan",
+    "time": "the time in a plan and in an FMU",
+    "h": "the time step in the equations of a report",
+}
+# Words of C: no name may be one in a generated file.
 _WORDS_OF_C = """
-    t time h bar auto case char const default do double enum extern float goto inline int long register restrict short signed sizeof static
+    auto case char const default do double enum extern float goto inline int long register restrict short signed sizeof static
     struct switch typedef union unsigned void volatile
 """
-_RESERVED = frozenset((*keyword.kwlist, *_WORDS_OF_C.split()))
+# Reason why a name may not be that of a quantity, by the name.
+_RESERVED = {
+    **dict.fromkeys(_WORDS_OF_C.split(), "a word of C"),
+    **dict.fromkeys(keyword.kwlist, "a word of Python"),
+    **_TAKEN,
+}
 # Largest number of values in a plan: 8 GB.
 _MOST_NUMBERS = 10**9
 
@@ -356,7 +367,9 @@ def _check_names(scene: Scene) -> None:
                 f"the name {name!r} is used {count} times; coordinates, velocities, inputs, parameters, contacts and frictions need names of their own.",
             )
         if name in _RESERVED:
-            raise _fail(scene, f"the name {name!r} is reserved; choose another.")
+            raise _fail(
+                scene, f"the name {name!r} is reserved: it is {_RESERVED[name]}; choose another."
+            )
 
 
 def _check_words(scene: Scene) -> None:

@@ -71,7 +71,10 @@ def base_exponents(unit: str) -> dict[str, int]:
 _POWERS = (("**", "^"), ("\u00b2", "^2"), ("\u00b3", "^3"))
 # Units that are multiples of ours.
 _MULTIPLES = {"deg": "rad", "degree": "rad", "mm": "m", "cm": "m", "km": "m", "g": "kg", "kN": "N"}
-_MULTIPLES |= {"mN": "N", "ms": "s", "min": "s"}
+_MULTIPLES |= {"mN": "N", "ms": "s", "min": "s", "h": "s", "lb": "kg", "in": "m", "ft": "m"}
+_MULTIPLES |= {"kJ": "J", "kW": "W", "kHz": "Hz", "rpm": "rad/s", "rev": "rad", "kgf": "N"}
+# Derived units without a name of ours, and their spelling.
+_DERIVED = {"Pa": "N/m^2"}
 
 
 def _other_spelling(unit: str) -> str:
@@ -79,6 +82,9 @@ def _other_spelling(unit: str) -> str:
     found = next((part for part in re.split(r"[ /*^]", unit) if part in _MULTIPLES), None)
     if found is not None:
         return f"; convert the numbers from {found} to {_MULTIPLES[found]}."
+    derived = next((part for part in re.split(r"[ /*^]", unit) if part in _DERIVED), None)
+    if derived is not None:
+        return f"; {derived} is {_DERIVED[derived]}."
     text = unit
     for other, ours in _POWERS:
         text = text.replace(other, ours)
@@ -191,7 +197,7 @@ def check_name(what: str, name: Any) -> None:
     """Raise SceneError unless `name` is an identifier."""
     if not isinstance(name, str) or not _IDENTIFIER.match(name):
         raise SceneError(
-            f"{what}: the name {name!r} is not an identifier; use letters, digits and _, starting with a letter."
+            f"{what}: the name {name!r} is not an identifier; use letters a to z, digits and _, starting with a letter."
         )
 
 

@@ -61,6 +61,9 @@ def small_scene(**changes: object) -> Scene:
         ("N\u00b7s/m", "did you mean 'N s/m'?"),
         ("deg", "convert the numbers from deg to rad."),
         ("kN/mm", "convert the numbers from kN to N."),
+        ("rpm", "convert the numbers from rpm to rad/s."),
+        ("km/h", "convert the numbers from km to m."),
+        ("Pa s", "Pa is N/m^2."),
         ("furlong", "(with ^n, spaces and /)."),
     ],
 )
@@ -409,3 +412,18 @@ def test_what_is_no_scene_file_is_answered_with_its_place(
     with pytest.raises(UnknownNameError) as caught:
         load_scene(given)
     assert not unsaid(caught.value, f"there is no scene {given!r}", advice)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("t", "the time in a plan"),
+        ("h", "the time step in the equations of a report"),
+        ("short", "a word of C"),
+        ("lambda", "a word of Python"),
+    ],
+)
+def test_scene_reserved_name_has_its_reason(name: str, reason: str):
+    push = sp.Symbol(name, real=True)
+    with pytest.raises(SceneError, match=rf"'{name}' is reserved: it is {reason}; choose"):
+        small_scene(inputs=(Input(symbol=push, unit="N"),), forces=(push,))

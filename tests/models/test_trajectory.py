@@ -381,6 +381,19 @@ def test_time_may_be_the_index_and_columns_fields(scene):
         ArrayTable(np.zeros((4, 2)))
 
 
+@pytest.mark.parametrize("name", ["time", "Time"])
+def test_array_table_column_or_index_time_is_read_as_t(scene, name: str):
+    columns = {name if key == "t" else key: values for key, values in ARRAYS.items()}
+    full = {key: np.append(values, np.nan)[:4] for key, values in columns.items()}
+    for plan in (columns, pd.DataFrame(full), pd.DataFrame(full).set_index(name)):
+        assert trajectory_from(ArrayTable(plan), scene).t.tolist() == ARRAYS["t"].tolist()
+
+
+def test_array_table_time_beside_t_is_refused(scene):
+    with pytest.raises(TrajectoryError, match="the column 'time' is unknown"):
+        trajectory_from(ArrayTable(ARRAYS | {"time": ARRAYS["t"]}), scene)
+
+
 def test_arrays_without_time_are_refused(scene):
     with pytest.raises(TrajectoryError, match="the column 't' is missing"):
         trajectory_from(

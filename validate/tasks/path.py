@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 import time
 import traceback
 from collections import Counter
@@ -36,7 +37,7 @@ from validate.store.store import Store, log_in, progress
 from validate.tasks import leg as legs
 from validate.tasks.leg import Planned, planned_stages
 from validate.tasks.plugins import load_plugin, plugin_source
-from validate.tasks.profile import Profile
+from validate.tasks.profile import Profile, waits
 from validate.tasks.records import run_record, solution_of, stages_of, unfinished_stage
 from validate.tasks.scene_record import scene_record
 from validate.tasks.stage import Judge, OpenLeg, SolvedStage, first_line, in_words, prepare
@@ -147,7 +148,7 @@ def unfinished_run(
             task.pipeline.name,
             planned,
             Outcome[child.outcome.upper()],
-            child.message,
+            f"{child.message}{waits(child.wall, child.cpu) if is_late else ''}",
         )
         for planned in rest
     ]
@@ -446,7 +447,9 @@ class _Path:
         self._profile.lap("shared")
 
     def _out_of_time(self, first: Planned) -> list[Unfinished]:
-        message = "the run's time was used up before this stage."
+        # User and system time, of this process and of its replays.
+        share = waits(self._profile.total, sum(os.times()[:4]))
+        message = f"the run's time was used up before this stage.{share}"
         return [(planned, Outcome.TIME_LIMIT, message) for planned in self._plan[first.index :]]
 
     def _failed(self, planned: Planned, error: Exception) -> list[Unfinished]:

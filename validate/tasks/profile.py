@@ -16,6 +16,16 @@ from collections.abc import Mapping
 START = "start"
 
 
+def waits(wall: float, cpu: float) -> str:
+    """Return a sentence with a leading space if others had more of the core than a task, else ''.
+
+    wall, cpu: time of the task [s]
+    """
+    if wall <= 2.0 * cpu:
+        return ""
+    return f" The machine was busy: it gave {cpu:.3g} CPU s in {wall:.3g} s."
+
+
 class Profile:
     """Laps from `began` by time.monotonic()."""
 

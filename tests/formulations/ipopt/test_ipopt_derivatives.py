@@ -208,6 +208,22 @@ def test_logistic_survives_a_huge_argument():
     assert np.isfinite(problem.hessian(x, np.zeros(0), 1.0)).all()
 
 
+@pytest.mark.parametrize("z", [-2.0, 0.5, 800.0, 1e5])
+@pytest.mark.parametrize("write", [
+    lambda m, e: m.x[1] / (7 * (1 + e)),
+    lambda m, e: m.x[1] / ((e + 1) * (5 + m.x[1] ** 2)),
+    lambda m, e: m.p[0] * m.x[1] / (1 + e) ** 2,
+])  # fmt: skip
+def test_quotient_by_logistic_product_finite_slopes(write, z):
+    model, problem, x = one_expression(lambda m: write(m, pyo.exp(m.x[0])), [z, 3.0])
+    if z < 700.0:  # exp(z) of a double is finite
+        assert problem.objective(x) == pytest.approx(pyo.value(model.cost), rel=1e-14)
+    else:
+        assert problem.objective(x) == pytest.approx(0.0, abs=1e-300)
+    assert np.isfinite(problem.gradient(x)).all()
+    assert np.isfinite(problem.hessian(x, np.zeros(0), 1.0)).all()
+
+
 @pytest.mark.parametrize(("write", "expected"), [
     (lambda m: m.x[0] ** 2, (0.0, 0.0, 2.0)),
     (lambda m: m.x[0] ** 3, (0.0, 0.0, 0.0)),

@@ -273,3 +273,24 @@ def test_other_generators_write_anew(monkeypatch, own_cache):
     asked(scene)
     monkeypatch.setattr(text_cache, "_generators", lambda: "another version of the code")
     assert asked(scene)
+
+
+def test_scene_confusable_names_compile(tmp_path: Path):
+    """Coordinates x and bar_x; a contact friction_rail, and a friction rail."""
+    text = (SCENES / "drawer.py").read_text(encoding="utf-8")
+    for old, new in (
+        ('symbols("x f"', 'symbols("x bar_x"'),
+        ('name="tip"', 'name="friction_rail"'),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "drawer.py").write_text(text, encoding="utf-8")
+    scene = load_scene(str(tmp_path / "drawer.py"))
+    sources = {
+        "scene_model.h": emit_model(scene),
+        "scene_sensitivity.h": emit_sensitivity(scene),
+        "friction.h": (ROOT / "models" / "codegen" / "friction.h").read_text(encoding="utf-8"),
+        "rollout.c": f'{ROLLOUT}\n#include "scene_sensitivity.h"\n',
+    }
+    compile_shared(find_compiler(), sources, tmp_path / "kernel.so")
+    assert (tmp_path / "kernel.so").stat().st_size > 0

@@ -418,3 +418,19 @@ def test_non_finite_steps_are_reported():
     assert run.finite_steps == 1
     with pytest.raises(KernelError, match=r"x has shape \(1, 5\)"):
         steps.linearise(x[:, :5], np.zeros((1, 2)), 0.01)
+
+
+@pytest.mark.parametrize(
+    ("entries", "others"),
+    [
+        (("y", "bar_y"), ("y",)),
+        (("bar",), ()),
+        (("friction_rail", "friction_rail"), ()),
+    ],
+)
+def test_vector_confusable_entries_distinct_symbols(
+    entries: tuple[str, ...], others: tuple[str, ...]
+):
+    symbols = [*Vector.of("a", entries).symbols, *Vector.of("a_bar", others).symbols]
+    names = ["a", "a_bar", *(symbol.name for symbol in symbols)]
+    assert len(set(names)) == len(names)

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from validate.tasks.profile import START, Profile
+from validate.tasks.profile import START, Profile, waits
 
 
 @pytest.fixture
@@ -91,3 +91,15 @@ def test_a_cells_profile_is_its_wall_time(cli, tmp_path):
     assert slow["profile"]["solve_rest"] >= 0.6, (
         "the fake sleeps that long, and claims nothing of it"
     )
+
+
+@pytest.mark.parametrize(
+    ("wall", "cpu", "sentence"),
+    [
+        (90.0, 45.0, ""),
+        (90.0, 130.0, ""),
+        (90.0, 7.25, " The machine was busy: it gave 7.25 CPU s in 90 s."),
+    ],
+)
+def test_waits_busy_machine_gives_cpu_share(wall: float, cpu: float, sentence: str):
+    assert waits(wall, cpu) == sentence

@@ -157,7 +157,7 @@ class _Writer:
         """Return MAP.toml."""
         states = [*motion.positions, *motion.velocities.values()]
         settable = [name for name in states if is_startable(usable[name])]
-        first = _text(motion.positions[0]) if motion.positions else '"POSITION"'
+        ends = [_column(name) for name in motion.positions] + list(motion.velocities.values())
         lines = [
             f"# Map of {package.path.name} (FMI {package.version}): which column of a plan is which variable.",
             "# docs/replay.md describes every key. Lines with `#` are your choices.",
@@ -196,10 +196,11 @@ class _Writer:
             ),
             "",
             "[goal]               # choose: where the plan shall end; without a goal only its motion is judged",
-            f"# {first} = 0.0",
+            *_comments(f"{_text(name)} = 0.0" for name in ends or ["POSITION"]),
             "",
             "[limits]             # choose: how near is near enough, in the plan's units; a goal needs one",
             '# replay_terminal_position_error = { value = 0.01, reason = "why this is near enough" }',
+            '# replay_terminal_velocity_error = { value = 0.01, reason = "why this is slow enough" }',
             '# replay_error = { value = 0.01, reason = "how far the motion may leave the plan" }',
         ]
         if motion.others:

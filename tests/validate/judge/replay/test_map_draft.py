@@ -87,3 +87,18 @@ def test_draft_of_an_input_called_time_has_a_column_of_its_own(tmp_path: Path, m
     found, rows, _ = drafted(build_foreign(tmp_path / "cart.fmu"), tmp_path)
     assert found.inputs["fmu_Time"].variable == "Time"
     assert rows[0] == ["t", "fmu_Time"]
+
+
+def test_draft_goals_and_limits_uncommented_load(tmp_path: Path):
+    """All positions and velocities at the end, and a limit on each kind."""
+    fmu = build_fmu(load_scene("two_body_collision"))
+    found, _, text = drafted(fmu, tmp_path)
+    head, ends = text.split("[goal]")
+    ends = ends.split("\n\n# Further outputs")[0].replace("\n# ", "\n")
+    file, plan = tmp_path / "chosen.toml", tmp_path / "draft.csv"
+    file.write_text(f"{head}[goal]{ends}", encoding="utf-8")
+    chosen = read_map(file)
+    wire(read_package(fmu), PlanTable(plan), chosen, None, f"map {file}")
+    rates = [item.column for item in found.velocities.values()]
+    assert set(chosen.goal) == {*found.positions, *rates}
+    assert len(rates) == 2
