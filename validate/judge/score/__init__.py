@@ -95,7 +95,7 @@ def check_limits(scene: Subject, file: Path | None = None) -> None:
             raise SceneError(f"{there}, which is shown, not judged; {advice}")
         if name not in (names := metric_names()):
             hint = did_you_mean(name, names, f"the metrics are {', '.join(names)}.")
-            raise SceneError(f"{there}, which is no metric; {hint}")
+            raise SceneError(f"{where}: there is a limit on {name!r}, which is no metric; {hint}")
 
 
 def score(
