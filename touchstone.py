@@ -43,7 +43,7 @@ _HOME = {
     "Solution": ("validate.campaign.shown", "SolvedPlan"),
     "Trajectory": ("models.trajectory", "Trajectory"),
     "Verdict": ("validate.judge.score", "Verdict"),
-    "check": ("validate.fmu_check.public", "check"),
+    "check": ("validate.fmu_check.host", "check"),
     "robustness": ("validate.judge.robustness.public", "robustness"),
 }
 _HOME = {name: home for name, home in _HOME.items() if is_present(home[0])}  # without lost annexes

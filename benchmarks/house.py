@@ -239,7 +239,7 @@ def structure(tree: Tree) -> dict[str, str]:
     folders = Counter(
         Path(name).parent.as_posix()
         for name in tree.texts
-        if name.split("/")[0] in ROOMS and not name.endswith("py.typed")
+        if name.split("/")[0] in ROOMS and not name.endswith(("py.typed", "README.md"))
     )
     largest = max(folders.keys() - CATALOGS, key=lambda folder: folders[folder])
     homes: defaultdict[str, set[str]] = defaultdict(set)

@@ -20,6 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from models.arguments import check_positive, check_text, listed
 from models.errors import MachineError, UnknownNameError, did_you_mean
 from validate.fmi import cvode
 from validate.fmi.archive import ARCHIVE_CHECKS, ArchiveError, FmuError, check_archive, unpack
@@ -395,3 +396,25 @@ def _following(lines: Path, take: Callable[[FmuCheckRow], None]) -> Iterator[Non
         finally:
             over.set()
     following.result()
+
+
+def check(
+    fmu: str | Path, *, only: Sequence[str] | None = None, seconds: float = 60.0
+) -> CheckReport:
+    """Check an FMU's files, and in child processes its behaviour (docs/fmu_check.md).
+
+    Parameters
+    ----------
+    only
+        Names of checks; None for all.
+    seconds
+        For each check [s].
+
+    Raises
+    ------
+    FmuError
+        For no FMU of version 2.0 or 3.0.
+    """
+    check_text("fmu", fmu)
+    check_positive("seconds", seconds)
+    return check_fmu(Path(fmu), names=None if only is None else listed(only), seconds=seconds)
