@@ -190,7 +190,7 @@ def solve(
     Solution(three_cart by softplus_dc, eps 0.001: solved, cost 197.9, 500 steps)
     """
     from formulations.pipelines import solve_scene
-    from models.arguments import check_positive
+    from models.errors import check_positive
     from validate.campaign.shown import SolvedPlan
     from validate.judge.judgement import as_trajectory
 
@@ -306,8 +306,7 @@ def export_fmu(scene: Scene | str | Path, path: str | Path, *, version: str = "2
     """
     import shutil
 
-    from models.arguments import check_text
-    from models.errors import MachineError
+    from models.errors import MachineError, check_text
     from models.fmu import build_fmu
 
     check_text("path", path)
@@ -354,7 +353,7 @@ def campaign(
     TouchstoneError
         For errors of the caller, in one sentence.
     """
-    from models.arguments import check_positive, check_text, listed
+    from models.errors import check_positive, check_text, listed
     from validate.campaign.campaign import run_campaign
     from validate.campaign.read import read_campaign
     from validate.campaign.runs import CampaignSettings

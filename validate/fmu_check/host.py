@@ -20,8 +20,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from models.arguments import check_positive, check_text, listed
-from models.errors import MachineError, UnknownNameError, did_you_mean
+from models.errors import (
+    MachineError,
+    UnknownNameError,
+    check_positive,
+    check_text,
+    did_you_mean,
+    listed,
+)
 from validate.fmi import cvode
 from validate.fmi.archive import ARCHIVE_CHECKS, ArchiveError, FmuError, check_archive, unpack
 from validate.fmi.description import read_description

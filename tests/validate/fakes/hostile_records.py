@@ -41,7 +41,7 @@ def good_record() -> dict[str, Any]:
         "value": 1.0,
         "unit": "N^2",
         "meaning": "m",
-        "question": Question.FORCES,
+        "question": Question.FORCES.value,
         "error": 0.1,
         "limit": 2.0,
         "ok": True,

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from models.arguments import listed
+from models.errors import listed
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.judge.judgement import as_wired_fmu

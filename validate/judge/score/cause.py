@@ -80,7 +80,10 @@ class Cause:
 
 
 def find_cause(scored: ScoredPlan, first: Metric, codes: Iterable[str] = ()) -> Cause:
-    """Return the cause of a failure; first: the deciding metric; codes: those to try, all if empty."""
+    """Return the cause of a failure.
+
+    first: the deciding metric; codes: those to try, all if empty
+    """
     for code in codes or CAUSES:
         found = CAUSES[code][1](scored, first)
         if found is not None:

@@ -131,7 +131,7 @@ def _of_what_is_shown(scored: ScoredPlan) -> str:
 
 
 def _asks_nothing(scored: ScoredPlan) -> str:
-    """Say that nothing is asked, and advise a goal or limit that asks for something."""
+    """Return the sentence that there is no goal and no limit, with advice."""
     who, advice = "the map", "give it a [goal] with its limits"
     if isinstance(scored.case.scene, Scene):
         who, advice = "the scene", "give it a goal, or a limit on its cost"
