@@ -42,7 +42,7 @@ _HOME = {
     "Scene": ("models.scene", "Scene"),
     "Solution": ("validate.campaign.shown", "SolvedPlan"),
     "Trajectory": ("models.trajectory", "Trajectory"),
-    "Verdict": ("validate.judge.score", "Verdict"),
+    "Verdict": ("models.results.verdict", "Verdict"),
     "check": ("validate.fmu_check.host", "check"),
     "robustness": ("validate.judge.robustness.public", "robustness"),
 }
