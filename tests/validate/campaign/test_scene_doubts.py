@@ -51,7 +51,7 @@ def test_a_limit_that_judges_nothing_is_named():
         "wall_pendulum",
         "limit on discrete_terminal_position_error",
         "judges nothing",
-        "(norm of",
+        "(distance of",
     )
 
 
