@@ -166,6 +166,7 @@ class BestExactSession(Session):
         After a first plan, an error of another pipeline is only a sentence in `crashed`.
         """
         solved: list[Solution] = []
+        coarse: list[Solution] = []  # those on the task's steps
         is_enough = False  # whether the long pipelines are not needed
         first_error: Exception | None = None
         for way in self._method.ways:
@@ -188,6 +189,7 @@ class BestExactSession(Session):
                 continue
             if solution.outcome is Outcome.SOLVED:
                 solved.append(solution)
+                coarse.append(solution)
                 by_modes = way is _MODES and _is_followed(solution)
                 is_enough = is_enough or by_modes or _is_clear(solution)
             yield way.name, solution
@@ -199,27 +201,29 @@ class BestExactSession(Session):
                     yield words, finer
             if monotonic() >= (last if is_safe else ends):
                 break
-        for words, solution in self._kept(self._refined(solved, ends), crashed):
+        for words, solution in self._kept(self._refined(solved, coarse, ends), crashed):
             solved += [solution] if solution.outcome is Outcome.SOLVED else []
             yield words, solution
         if first_error is not None and not solved:
             raise first_error
 
-    def _refined(self, solved: Sequence[Solution], ends: float) -> Iterator[tuple[str, Solution]]:
+    def _refined(
+        self, solved: Sequence[Solution], coarse: Sequence[Solution], ends: float
+    ) -> Iterator[tuple[str, Solution]]:
         """Yield solutions on finer steps until a plan is followed.
 
-        First come those of the cheapest plan, then those of the closest one. Without a plan random
-        pushes are tried on finer steps.
+        First come those of the cheapest plan on the task's steps, then those of the closest one.
+        Without a plan random pushes are tried on finer steps.
         """
         if not solved:
             yield from self._on_finer_steps(None, ends)
             return
-        cheapest = _cheapest(list(solved))
-        others = [each for each in solved if each is not cheapest]
-        if _is_followed(cheapest):
+        if _is_followed(_cheapest(list(solved))):
             return
+        cheapest = _cheapest(list(coarse))
+        others = [each for each in coarse if each is not cheapest]
         last = _half(ends) if others else ends
-        is_done = any(map(_is_followed, others))
+        is_done = any(map(_is_followed, solved))
         for words, solution in self._on_finer_steps(cheapest, last):
             is_done = is_done or (solution.outcome is Outcome.SOLVED and _is_followed(solution))
             yield words, solution
