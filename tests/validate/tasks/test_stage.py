@@ -177,11 +177,8 @@ def log(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         "write_netcdf",
         lambda path, plan, scene, gains=None: found.append((path.name, gains)),
     )
-    monkeypatch.setattr(
-        module,
-        "stage_record",
-        lambda *given, **named: SimpleNamespace(model_copy=lambda update: (given, named, update)),
-    )
+    monkeypatch.setattr(module, "stage_record", lambda *given, **named: (given, named))
+    monkeypatch.setattr(module, "replace", lambda record, **update: (*record, update))
     monkeypatch.setattr(module, "with_certificate", lambda *given: given)
     walls = itertools.count(5.0, 1.0)
     monkeypatch.setattr(module.time, "perf_counter", lambda: next(walls))
