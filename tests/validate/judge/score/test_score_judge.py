@@ -157,7 +157,7 @@ def test_a_name_that_no_metric_has_is_no_metric_that_was_not_measured(
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("beauty", "beauty, which is no metric; the metrics are start_error,"),
+        ("beauty", "'beauty', which is no metric; the metrics are start_error,"),
         ("replay_eror", "did you mean replay_error?"),
         ("terminal_error",
          "shown, not judged; limit terminal_position_error and terminal_velocity_error"),
