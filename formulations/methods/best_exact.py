@@ -193,7 +193,8 @@ class BestExactSession(Session):
                 by_modes = way is _MODES and _is_followed(solution)
                 is_enough = is_enough or by_modes or _is_clear(solution)
             yield way.name, solution
-            if way is _PUSHES and solution in solved and not _is_followed(solution):
+            is_shot = way is _PUSHES and solution.outcome is Outcome.SOLVED
+            if is_shot and not _is_followed(solution):
                 shots = self._on_finer_steps(solution, _half(ends), by_strict=False)
                 for words, finer in self._kept(shots, crashed):
                     solved += [finer] if finer.outcome is Outcome.SOLVED else []

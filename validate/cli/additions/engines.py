@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def _prepare(names: str, is_fmu: bool) -> tuple[str, ...]:
     if is_fmu:
         raise click.UsageError(
-            "--engine belongs to --scene: another simulator cannot step somebody's FMU."
+            "--engine belongs to --scene: another simulator cannot step an external FMU."
         )
     return named_engines(names)
 
